@@ -26,6 +26,7 @@ from deltaq_controllers.modes.practice import practise
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.surroundings.surroundings import RobotSurroundings
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.errors import DeltaqError
 
 HAND_M_S, HAND_RAD_S = 0.1, 0.2
 """Rates that are commanded."""
@@ -196,14 +197,17 @@ def main() -> int:
     if options.passes < 1:
         parser.error(f"--passes {options.passes}: at least 1")
     for name in options.mode:
-        directions, steps = run(
-            options.cell,
-            options.robot,
-            ModeName(name),
-            options.duration_s,
-            options.passes,
-            options.keeps_clear,
-        )
+        try:
+            directions, steps = run(
+                options.cell,
+                options.robot,
+                ModeName(name),
+                options.duration_s,
+                options.passes,
+                options.keeps_clear,
+            )
+        except DeltaqError as error:
+            parser.error(str(error))
         whole = sum(one.share >= WHOLE for one in directions)
         if options.json:
             told = {

@@ -20,9 +20,11 @@ import daqp
 import numpy as np
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.live import model_of
 from deltaq_controllers.modes.motion import ModeName
 from deltaq_experiments.directions import commands, drive
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.errors import DeltaqError
 
 EPS = 1e-9
 """Accuracy that is asked of solvers that iterate towards the answer, in the programmes' units (mm)."""
@@ -65,11 +67,17 @@ class SolverTime(NamedTuple):
 
 
 def programmes(cell: str, robot: str, mode: ModeName, duration_s: float, every: int) -> list[Programme]:
-    """One in `every` of the programmes that a robot solves while it is driven along each axis."""
+    """One in `every` of the programmes that a robot solves while it is driven along each axis.
+
+    Raises:
+        CellError: there is no such cell.
+        ControllerError: there is no such robot, or it cannot be driven in that mode.
+    """
     loaded = CellModel.load(cell)
+    model = model_of(loaded.robots, robot)
     with _kept() as kept:
-        for rates in commands(loaded.robots[robot]):
-            drive(loaded.robots[robot], mode, rates, duration_s, loaded.description.cycle_s, loaded)
+        for rates in commands(model):
+            drive(model, mode, rates, duration_s, loaded.description.cycle_s, loaded)
     return kept[::every]
 
 
@@ -213,7 +221,14 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=10, help="solve one programme in so many")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     given = parser.parse_args()
-    asked = programmes(given.cell, given.robot, ModeName(given.mode), given.duration_s, given.every)
+    if given.every < 1:
+        parser.error(f"--every {given.every}: at least 1")
+    try:
+        asked = programmes(given.cell, given.robot, ModeName(given.mode), given.duration_s, given.every)
+    except DeltaqError as error:
+        parser.error(str(error))
+    if not asked:
+        parser.error(f"--duration-s {given.duration_s:g}: too short, no programme was solved")
     found = timed(asked)
     if given.json:
         json.dump([one._asdict() for one in found], sys.stdout)

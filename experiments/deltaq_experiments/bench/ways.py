@@ -79,7 +79,7 @@ def ways(cycles: int = CYCLES) -> BenchTable:
 def _answering(way: str) -> Iterator[Callable[[bytes], None]]:
     """A process that answers in some way; gives a function that asks it, and returns with its answer."""
     ports = free_ports(2)
-    command = [sys.executable, "-m", __spec__.name if __spec__ else __name__, "--answer", way]
+    command = [sys.executable, "-m", "deltaq_experiments.bench.ways", "--answer", way]
     process = subprocess.Popen([*command, *map(str, ports)], stdout=subprocess.PIPE, stdin=subprocess.PIPE)
     try:
         assert process.stdout is not None
@@ -211,6 +211,8 @@ def main() -> None:
         way, *ports = given.answer
         _answer(way, [int(port) for port in ports])
         return
+    if given.cycles < 1:
+        parser.error(f"--cycles {given.cycles}: at least 1")
     found = ways(given.cycles)
     if given.json:
         print(found.model_dump_json())
