@@ -12,6 +12,7 @@ import argparse
 import itertools
 import shutil
 import time
+import urllib.request
 from pathlib import Path
 
 from PIL import Image
@@ -206,6 +207,11 @@ def main() -> None:
     options = parser.parse_args()
     if options.chromium is None:
         parser.error("Chromium is not installed; name it with --chromium")
+    try:
+        with urllib.request.urlopen(options.url):
+            pass
+    except OSError as error:
+        parser.error(f"no console answers at {options.url} ({error}); start the cell first (`deltaq up`)")
     take_pictures(options.url, options.folder, options.chromium)
 
 
