@@ -1,6 +1,8 @@
 """Where the joints of a model are, compiled: the same as pinocchio says, in arrays that compiled functions take.
 
-To read the frames of pinocchio's data one by one costs several times what they take to compute.
+To read the frames of pinocchio's data one by one costs several times what they take to compute. The gate's kernel
+places joints likewise, in arrays of its own (`deltaq_cell.kernel.place`): machine code is kept by the package that it is
+of, so that a compiled function calls none of another.
 """
 
 from __future__ import annotations
