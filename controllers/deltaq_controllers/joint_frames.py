@@ -1,8 +1,8 @@
 """Where the joints of a model are, compiled: the same as pinocchio says, in arrays that compiled functions take.
 
 To read the frames of pinocchio's data one by one costs several times what they take to compute. The gate's kernel
-places joints likewise, in arrays of its own (`deltaq_cell.kernel.place`): machine code is kept by the package that it is
-of, so that a compiled function calls none of another.
+places joints likewise, in arrays of its own (`deltaq_cell.kernel.place`). Machine code is kept package by package, so a
+compiled function calls none of another package.
 """
 
 from __future__ import annotations
