@@ -193,7 +193,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--root", type=Path, default=Path(), help="where docs/ lies (default: here)")
     parser.add_argument("--seeds", type=int, default=3, help="runs of each kind (default: %(default)s)")
     parser.add_argument("--gain", nargs="+", choices=QpGains._fields, default=QpGains._fields, metavar="GAIN",
-                        help="only these (default: all)")  # fmt: skip
+                        help="only these, on the page too (default: all)")  # fmt: skip
     given = parser.parse_args(argv)
     if given.seeds < 1:
         parser.error(f"--seeds {given.seeds}: at least 1")
