@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from deltaq_experiments.bench.ways import Way, ways
+from deltaq_experiments.bench.ways import MessageWay, ways
 
 
 @pytest.mark.service
 def test_every_way_answers_and_has_its_row() -> None:
-    bare, *others = Way
+    bare, *others = MessageWay
     found = ways(cycles=5)
     assert [row.what for row in found.rows] == others
     for row in found.rows:

@@ -36,7 +36,7 @@ _THERE, _BACK = "deltaq-bench/there", "deltaq-bench/back"
 _SHARED_BYTES = 1 << 20
 
 
-class Way(StrEnum):
+class MessageWay(StrEnum):
     """How another process hears a message, and who answers."""
 
     SOCKET = "a bare socket"
@@ -48,12 +48,12 @@ class Way(StrEnum):
 
 
 EXPLAINED = {
-    Way.SOCKET: "the thread that reads it answers",
-    Way.ZENOH_THREAD: "zenoh's own thread answers",
-    Way.WAITING_THREAD: "a thread answers that waits for zenoh's",
-    Way.LOOP: "the event loop answers, as in the services",
-    Way.TWO_SESSIONS: "the same, and the answer leaves over a session of its own, as in the HLI",
-    Way.SHARED_MEMORY: "zenoh's own thread answers, and messages lie in memory that both processes have",
+    MessageWay.SOCKET: "the thread that reads it answers",
+    MessageWay.ZENOH_THREAD: "zenoh's own thread answers",
+    MessageWay.WAITING_THREAD: "a thread answers that waits for zenoh's",
+    MessageWay.LOOP: "the event loop answers, as in the services",
+    MessageWay.TWO_SESSIONS: "the same, and the answer leaves over a session of its own, as in the HLI",
+    MessageWay.SHARED_MEMORY: "zenoh's own thread answers, and messages lie in memory that both processes have",
 }
 
 
@@ -63,17 +63,17 @@ def ways(cycles: int = CYCLES) -> BenchTable:
     Args:
         cycles: messages of each way.
     """
-    took: dict[Way, list[float]] = {way: [] for way in Way}
+    took: dict[MessageWay, list[float]] = {way: [] for way in MessageWay}
     with ExitStack() as answering:
-        asks = {way: answering.enter_context(_answering(way)) for way in Way}
+        asks = {way: answering.enter_context(_answering(way)) for way in MessageWay}
         due_s = time.monotonic()
-        for way in [way for _ in range(_LEFT_OUT + cycles) for way in Way]:
+        for way in [way for _ in range(_LEFT_OUT + cycles) for way in MessageWay]:
             due_s = max(due_s + CYCLE_S, time.monotonic())
             time.sleep(max(0.0, due_s - time.monotonic()))
             begin_s = time.perf_counter()
             asks[way](bytes(MESSAGE_BYTES))
             took[way].append(time.perf_counter() - begin_s)
-    bare, *others = Way
+    bare, *others = MessageWay
     return BenchTable(
         rows=tuple(
             BenchRow.of(
@@ -89,7 +89,7 @@ def ways(cycles: int = CYCLES) -> BenchTable:
 
 
 @contextmanager
-def _answering(way: Way) -> Iterator[Callable[[bytes], None]]:
+def _answering(way: MessageWay) -> Iterator[Callable[[bytes], None]]:
     """A process that answers in some way; gives a function that asks it, and returns with its answer."""
     ports = free_ports(2)
     command = [sys.executable, "-m", "deltaq_experiments.bench.ways", "--answer", way]
@@ -97,7 +97,7 @@ def _answering(way: Way) -> Iterator[Callable[[bytes], None]]:
     try:
         assert process.stdout is not None
         process.stdout.readline()  # it listens
-        with _asking_socket(ports[0]) if way is Way.SOCKET else _asking_zenoh(way, ports) as ask:
+        with _asking_socket(ports[0]) if way is MessageWay.SOCKET else _asking_zenoh(way, ports) as ask:
             yield ask
     finally:
         process.kill()
@@ -117,14 +117,14 @@ def _asking_socket(port: int) -> Iterator[Callable[[bytes], None]]:
 
 
 @contextmanager
-def _asking_zenoh(way: Way, ports: list[int]) -> Iterator[Callable[[bytes], None]]:
+def _asking_zenoh(way: MessageWay, ports: list[int]) -> Iterator[Callable[[bytes], None]]:
     session = open_session(connect=[f"tcp/127.0.0.1:{port}" for port in ports[: _sessions(way)]])
     answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     subscriber = session.declare_subscriber(
         _BACK, _called(lambda sample: answers.put(sample.payload.to_bytes()))
     )
     publisher = declare_publisher(session, _THERE)
-    put = _shared(publisher) if way is Way.SHARED_MEMORY else publisher.put
+    put = _shared(publisher) if way is MessageWay.SHARED_MEMORY else publisher.put
 
     def ask(message: bytes) -> None:
         put(message)
@@ -148,8 +148,8 @@ def _called(put: Callable[[zenoh.Sample], None]) -> Any:
     return zenoh.handlers.Callback(put, indirect=False)
 
 
-def _sessions(way: Way) -> int:
-    return 2 if way is Way.TWO_SESSIONS else 1
+def _sessions(way: MessageWay) -> int:
+    return 2 if way is MessageWay.TWO_SESSIONS else 1
 
 
 def _shared(publisher: Any) -> Callable[[bytes], None]:
@@ -175,9 +175,9 @@ def _receive(line: socket.socket) -> bytes:
     return message
 
 
-def _answer(way: Way, ports: list[int]) -> None:
+def _answer(way: MessageWay, ports: list[int]) -> None:
     """Answer until killed."""
-    if way is Way.SOCKET:
+    if way is MessageWay.SOCKET:
         with socket.create_server(("127.0.0.1", ports[0])) as listener:
             print("ready", flush=True)
             line, _ = listener.accept()
@@ -186,15 +186,15 @@ def _answer(way: Way, ports: list[int]) -> None:
                 line.sendall(_receive(line))
     sessions = [open_session(listen=[f"tcp/127.0.0.1:{port}"]) for port in ports[: _sessions(way)]]
     publisher = declare_publisher(sessions[-1], _BACK)
-    if way in (Way.LOOP, Way.TWO_SESSIONS):
+    if way in (MessageWay.LOOP, MessageWay.TWO_SESSIONS):
         asyncio.run(_answer_in_loop(sessions[0], publisher))
-    elif way is Way.WAITING_THREAD:
+    elif way is MessageWay.WAITING_THREAD:
         arriving = sessions[0].declare_subscriber(_THERE, zenoh.handlers.FifoChannel(16))
         print("ready", flush=True)
         while True:
             publisher.put(arriving.recv().payload.to_bytes())
     else:
-        put = _shared(publisher) if way is Way.SHARED_MEMORY else publisher.put
+        put = _shared(publisher) if way is MessageWay.SHARED_MEMORY else publisher.put
         kept = sessions[0].declare_subscriber(_THERE, _called(lambda sample: put(sample.payload.to_bytes())))
         print("ready", flush=True)
         sys.stdin.read()
@@ -222,7 +222,7 @@ def main() -> None:
     given = parser.parse_args()
     if given.answer:
         way, *ports = given.answer
-        _answer(Way(way), [int(port) for port in ports])
+        _answer(MessageWay(way), [int(port) for port in ports])
         return
     if given.cycles < 1:
         parser.error(f"--cycles {given.cycles}: at least 1")
