@@ -11,6 +11,7 @@ import pinocchio as pin
 from deltaq_cell.bodies import Bodies
 from deltaq_cell.extents import Extents, corners_of
 from deltaq_cell.kernel.arrays import Anatomy, Findings, Placed
+from deltaq_cell.kernel.span import VERTICES
 from deltaq_cell.oriented_box import oriented_box
 from deltaq_protocol.arrays import Array
 
@@ -90,8 +91,10 @@ def placed_at_first(cell: Anatomy) -> Placed:
         translation=np.zeros((joints, 3)),
         columns=np.zeros((joints, 6)),
         half=np.zeros(joints),
+        vertices=np.ones(int(cell.robot.max()) + 1, dtype=np.int64),
+        offset=np.zeros((VERTICES, joints)),
+        along=np.zeros(joints),
         deviation=np.zeros(joints),
-        direction=np.zeros(joints),
         corners=cell.corners.copy(),
         axis=cell.axis.copy(),
         centre=cell.middle.copy(),
@@ -111,7 +114,7 @@ def findings(pairs: int) -> Findings:
         normal=np.zeros((pairs, 3)),
         open=np.zeros(pairs, dtype=bool),
         simplex=np.zeros((4, 3)),
-        twist=np.zeros((2, 6)),
+        twist=np.zeros((2, VERTICES, 6)),
     )
 
 

@@ -85,8 +85,10 @@ class BroadPhase:
         """(groups,) lower bounds of least swept distance minus stop distance [m]."""
         around, first, second = self._around, self._first, self._second
         gaps = np.abs(around.centre[first] - around.centre[second]) - self._half
+        # of a middle within a box as far as it is from there to the nearest face, the other way
+        distances = np.minimum(gaps.max(axis=1, initial=-np.inf), 0.0)
         np.maximum(gaps, 0.0, out=gaps)
-        distances = np.sqrt(np.einsum("ij,ij->i", gaps, gaps))
+        distances += np.sqrt(np.einsum("ij,ij->i", gaps, gaps))
         distances -= self._touch + around.inflation[first] + around.inflation[second]
         least: Array = np.minimum.reduceat(distances, self._starts) - self._stop
         return least

@@ -19,14 +19,13 @@ from deltaq_cell.group import Group, Nearest
 from deltaq_cell.kernel.arrays import Pairs
 from deltaq_cell.kernel.certify import certify
 from deltaq_cell.kernel.gap import ROUNDING_M
-from deltaq_cell.kernel.look import NONE, look
+from deltaq_cell.kernel.look import NONE, look, separate_pairs
 from deltaq_cell.kernel.pieces import Tube, stack_of
-from deltaq_cell.kernel.place import place
-from deltaq_cell.kernel.planes import keeps_apart
-from deltaq_cell.kernel.strip import strip_around
+from deltaq_cell.kernel.place import place, spread
+from deltaq_cell.kernel.span import span_around
 from deltaq_cell.meter import Meter
 from deltaq_cell.paired_groups import PairedGroups, pairs_alone, part_of
-from deltaq_cell.proximity import DistanceQuery, ProximityEngine
+from deltaq_cell.proximity import DistanceQuery, ProximityEngine, within_box
 from deltaq_cell.reach import reach_of
 from deltaq_protocol.arrays import Array
 
@@ -67,7 +66,7 @@ class CompiledProximity(ProximityEngine):
         alone = {name: self._listed(groups) for name, groups in self.alone.items()}
         between = {names: self._listed(groups) for names, groups in self.between.items()}
         self._found = findings(max(len(pairs), 1))
-        self._strips: dict[str, tuple[Array, Array, Array]] = {}
+        self._spans: dict[str, tuple[Array, Array, Array, Array]] = {}
         self._every = np.ones(len(bodies), dtype=bool)
         self._stack = stack_of(self.model.nv, len(bodies), len(pairs))
         self._told: dict[str, bytes] = {}
@@ -94,26 +93,28 @@ class CompiledProximity(ProximityEngine):
         """Call everything once, so that no decision waits for machine code."""
         for listed in (*self.alone.values(), *self.between.values()):
             self.look(listed, 0.0)
-        for name, (middle, _, _) in self._strips.items():
+            separate_pairs(self._anatomy, self._where, listed.pairs, np.arange(0), 0.0, self._found)
+        for name, (middle, *_) in self._spans.items():
             tube = self.whole_tube(name, middle[None], 0, 0, 0)
             self.certify(tube, None, self.alone[name], 0.0, 0)
             self.decisions.compile(name, tube)
-        keeps_apart(self._anatomy, self._where, 0, 0, np.array([0.0, 0.0, 1.0]), 0.0, 0.0, self._found.twist)
-        strip_around(self._q[None])
+        span_around(self._q[None])
 
-    def place(self, robot: str, q: Array, half: Array, direction: Array | None = None) -> float:
-        """Place a robot in a strip, as `ProximityEngine.place` has it; for all groups always."""
-        along = np.zeros_like(half) if direction is None else direction
-        told = q.tobytes() + half.tobytes() + along.tobytes()
+    def place(
+        self, robot: str, q: Array, half: Array, offsets: Array | None = None, deviation: Array | None = None
+    ) -> float:
+        """Place a robot in a span, as `ProximityEngine.place` has it; for all groups always."""
+        span = within_box(q, half, offsets, deviation)
+        told = b"".join(array.tobytes() for array in span)
         if self._told.get(robot) == told:
             return self._greatest[robot]
         self._told[robot] = told
-        middle, _, direction = self._strips[robot] = q.copy(), half.copy(), along.copy()
+        middle, half, offsets, deviation = self._spans[robot] = span
         joints, bodies = self._ranges[robot]
         self._q[joints[0] : joints[1]] = q
-        greatest = self._greatest[robot] = place(
-            self._anatomy, self._where, joints, bodies, self._every, middle, direction, half - np.abs(along)
-        )
+        cell, where = self._anatomy, self._where
+        greatest = self._greatest[robot] = place(cell, where, joints, bodies, self._every, middle, half)
+        spread(cell, where, joints, bodies, offsets, len(offsets), deviation)
         self._moved.add(robot)
         self._is_measured = False
         return greatest
@@ -121,7 +122,7 @@ class CompiledProximity(ProximityEngine):
     def least(self, group: Group) -> float:
         """Least swept distance of a group [m] where the robots have been placed, as coal measures it."""
         for name in sorted(self._moved):
-            super().place(name, *self._strips[name])
+            super().place(name, *self._spans[name])
         self._moved.clear()
         return super().least(group)
 
@@ -137,9 +138,10 @@ class CompiledProximity(ProximityEngine):
             return DistanceQuery([], False, None, 0.0)
         self._found.open[: listed.numbers.size] = False
         chosen = np.flatnonzero(listed.pairs.active)
-        tightest, too_near, _ = look(
-            self._anatomy, self._where, listed.pairs, chosen, room_m, True, True, self._found
-        )
+        asked = self._anatomy, self._where, listed.pairs, chosen, room_m
+        tightest, any_open, too_near, _ = look(*asked, True, True, self._found)
+        if any_open and not too_near:
+            separate_pairs(*asked, self._found)
         if tightest == NONE:
             return DistanceQuery([], False, None, 0.0)
         open_ = np.flatnonzero(self._found.open[: listed.numbers.size])
@@ -277,16 +279,11 @@ class CompiledProximity(ProximityEngine):
         length = float(np.linalg.norm(normal))
         if not 0.5 < length < 2.0:  # coal found no way out
             return False
-        return keeps_apart(
-            self._anatomy,
-            self._where,
-            int(listed.pairs.first[index]),
-            int(listed.pairs.second[index]),
-            normal / length,
-            nearest.distance_m + ROUNDING_M,
-            asked_m,
-            self._found.twist,
-        )
+        found = self._found
+        found.open[index], found.normal[index] = True, normal / length
+        found.at_most_m[index] = nearest.distance_m + ROUNDING_M
+        separate_pairs(self._anatomy, self._where, listed.pairs, np.array([index]), room_m, found)
+        return not found.open[index]
 
     def _jacobian(self, robot: str) -> Array:
         first, last = self._ranges[robot][0]

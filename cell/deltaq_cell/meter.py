@@ -14,7 +14,7 @@ from deltaq_protocol.arrays import Array
 
 
 class Meter:
-    """Measures pairs at the middle of the strips where robots are placed, without any inflation.
+    """Measures pairs at the middle of the boxes where robots are placed, without any inflation.
 
     Args:
         model: of all robots.

@@ -35,18 +35,24 @@ from deltaq_protocol.arrays import Array
 class _Placed:
     """Where a robot was placed last, and how far its bodies travel there."""
 
-    q: Array
-    half: Array
-    direction: Array
+    span: tuple[Array, Array, Array, Array]
     J: Array
     travel: Array
     centres: Array
     greatest: float
 
-    def is_at(self, q: Array, half: Array, direction: Array) -> bool:
+    def is_at(self, span: tuple[Array, Array, Array, Array]) -> bool:
         """Whether the robot is placed there already."""
-        same = (self.q == q).all() and (self.half == half).all() and (self.direction == direction).all()
-        return bool(same)
+        return all(np.array_equal(mine, other) for mine, other in zip(self.span, span, strict=True))
+
+
+def within_box(
+    q: Array, half: Array, offsets: Array | None, deviation: Array | None
+) -> tuple[Array, Array, Array, Array]:
+    """Copies of what describes a span; without offsets it is the whole box, a point as wide as the box."""
+    if offsets is None or deviation is None:
+        offsets, deviation = np.zeros((1, q.size)), half
+    return q.copy(), half.copy(), offsets.copy(), deviation.copy()
 
 
 @dataclass(frozen=True)
@@ -55,7 +61,7 @@ class DistanceQuery:
 
     Attributes:
         failing: groups that have not been shown to keep the required distance.
-        too_near: whether a pair of them does not keep it even at the middle of the strip.
+        too_near: whether a pair of them does not keep it even at the middle of the span.
         tightest: the pair with the least swept distance beyond its stop distance; None if all are left out.
         stop_distance_m: of that pair [m].
     """
@@ -149,22 +155,25 @@ class ProximityEngine:
         self.alone = {name: ScreenedGroups(groups, self._around) for name, groups in self.alone.items()}
         self.between = {names: ScreenedGroups(groups, self._around) for names, groups in self.between.items()}
 
-    def place(self, robot: str, q: Array, half: Array, direction: Array | None = None) -> float:
+    def place(
+        self, robot: str, q: Array, half: Array, offsets: Array | None = None, deviation: Array | None = None
+    ) -> float:
         """Place a robot at `q` and inflate its bodies by their travel within `q` +- `half`.
 
         Args:
             robot: its name.
-            q: (n,) middle of the strip [rad or m].
-            half: (n,) half-widths of the strip, not negative.
-            direction: (n,) along which the strip lies, |direction| <= half; none if it is a box [rad or m].
+            q: (n,) middle of the box [rad or m].
+            half: (n,) its half-widths, not negative.
+            offsets: (vertices, n) from `q` of the vertices of a span within that box; None if it may be anywhere in it.
+            deviation: (n,) how far that span is wide.
 
         Returns:
             The greatest travel of any of its bodies [m].
         """
-        along = np.zeros_like(half) if direction is None else direction
+        span = within_box(q, half, offsets, deviation)
         placed = self._placed.get(robot)
-        if placed is None or not placed.is_at(q, half, along):
-            placed = self._placed[robot] = self._move(robot, q, half, along)
+        if placed is None or not placed.is_at(span):
+            placed = self._placed[robot] = self._move(robot, *span)
             self._self_groups[robot].inflate(placed.travel, placed.centres)
         return placed.greatest
 
@@ -284,16 +293,17 @@ class ProximityEngine:
         """(6, n) geometric Jacobian of a robot at the world's origin where it is placed, linear rows first."""
         return self._placed[robot].J
 
-    def _move(self, robot: str, q: Array, half: Array, direction: Array) -> _Placed:
-        bodies, places = self._bodies[robot], self._slices[robot]
+    def _move(self, robot: str, q: Array, half: Array, offsets: Array, deviation: Array) -> _Placed:
+        bodies = self._bodies[robot]
         self._q[bodies.slice_q] = q
         J = pin.computeJointJacobians(self.model, self._data, self._q)[:, bodies.slice_q]
         corners, axes, centres = bodies.placed(self._data.oMi)
         arms = bodies.lever_arms(J, corners) if half.any() else np.zeros(bodies.moved_by.shape)
-        self._separation.move(self._places[robot], corners, axes, bodies.slice_q, arms, J, direction, half)
+        places = self._places[robot]
+        self._separation.move(places, corners, axes, bodies.slice_q, arms, J, half, offsets, deviation)
         travel = arms * half
         total = travel.sum(axis=1)
         bodies.inflate(total)
-        self._around.centre[places] = centres
-        self._around.inflation[places] = total
-        return _Placed(q.copy(), half.copy(), direction.copy(), J, travel, centres, float(total.max()))
+        self._around.centre[self._slices[robot]] = centres
+        self._around.inflation[self._slices[robot]] = total
+        return _Placed((q, half, offsets, deviation), J, travel, centres, float(total.max()))

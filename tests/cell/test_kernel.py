@@ -9,6 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from own_robot import write_cell, write_package
+from spans import draw_span
 
 from deltaq_cell import compiled_proximity
 from deltaq_cell.cell_model import CellModel
@@ -41,23 +42,20 @@ def proximity(cell):
     return CompiledProximity(cell)
 
 
-def strips(cell, random):
-    """Middle, half-widths and direction for each robot: at rest, along a line, or a box; near home or anywhere."""
+def spans(cell, random):
+    """Middle and span for each robot: at rest, along a line, between vertices, or a box; near home or anywhere."""
     drawn = {}
     for name, robot in cell.robots.items():
         spread = random.choice([0.1, 0.3, 1.0]) * random.uniform(-1, 1, robot.n)
         q = np.clip(robot.home + spread * (robot.upper - robot.lower), robot.lower, robot.upper)
-        length, width = 10.0 ** random.uniform(-3, -0.5), 10.0 ** random.uniform(-4, -1.5)
-        direction = random.uniform(-1, 1, robot.n) * length * (random.uniform() < 0.8)
-        half = np.abs(direction) + random.uniform(0, width, robot.n) * (random.uniform() < 0.8)
-        drawn[name] = q, half, direction
+        drawn[name] = q, *draw_span(robot.n, random, lengths=(-3, -0.2))
     return drawn
 
 
 def placed(proximities, drawn):
     for proximity in proximities:
-        for name, strip in drawn.items():
-            proximity.place(name, *strip)
+        for name, span in drawn.items():
+            proximity.place(name, *span)
 
 
 def lists(*proximities):
@@ -90,7 +88,7 @@ def names(groups):
 @seeded(25)
 def test_a_look_finds_what_the_readable_code_finds(cell, reference, proximity, seed):
     random = np.random.default_rng(seed)
-    placed((reference, proximity), strips(cell, random))
+    placed((reference, proximity), spans(cell, random))
     room_m = float(random.choice([1e-5, 0.01, 0.1]))
     for readable, quick in lists(reference, proximity):
         if not readable:
@@ -110,9 +108,9 @@ def test_a_look_finds_what_the_readable_code_finds(cell, reference, proximity, s
 @pytest.mark.long
 @seeded(25)
 def test_a_robot_is_placed_where_the_readable_code_has_it(cell, reference, proximity, seed):
-    drawn = strips(cell, np.random.default_rng(seed))
-    for name, strip in drawn.items():
-        assert proximity.place(name, *strip) == pytest.approx(reference.place(name, *strip), abs=1e-12)
+    drawn = spans(cell, np.random.default_rng(seed))
+    for name, span in drawn.items():
+        assert proximity.place(name, *span) == pytest.approx(reference.place(name, *span), abs=1e-12)
         np.testing.assert_allclose(proximity._jacobian(name), reference._jacobian(name), atol=1e-12)
     separation, where = reference._separation, proximity._where
     moved = separation._half > 0.0
@@ -127,7 +125,7 @@ def test_a_robot_is_placed_where_the_readable_code_has_it(cell, reference, proxi
 def test_what_is_left_out_has_more_room_than_was_asked_for(cell, proximity, seed):
     """Every pair, as coal measures it: by balls, by boxes, and by the search that ends early."""
     random = np.random.default_rng(seed)
-    drawn = strips(cell, random)
+    drawn = spans(cell, random)
     placed((proximity,), drawn)
     room_m, tells = float(random.choice([1e-5, 0.05])), bool(random.integers(2))
     anatomy, where, found = proximity._anatomy, proximity._where, proximity._found
@@ -137,7 +135,11 @@ def test_what_is_left_out_has_more_room_than_was_asked_for(cell, proximity, seed
         every = np.arange(len(listed.numbers))
         kernel._screen(anatomy, where, listed.pairs, every, True, found)
         by_balls = found.room_m[: len(listed.numbers)].copy()
-        too_near = kernel.look(anatomy, where, listed.pairs, every, room_m, True, tells, found)[1]
+        asked = anatomy, where, listed.pairs, every, room_m
+        _, any_open, too_near, _ = kernel.look(*asked, True, tells, found)
+        assert any_open == found.open[: len(listed.numbers)].any()
+        if not too_near:
+            kernel.separate_pairs(*asked, found)
         told = found.room_m[: len(listed.numbers)].copy()
         open_ = found.open[: len(listed.numbers)].copy()
         for index in random.choice(len(listed.numbers), min(40, len(listed.numbers)), replace=False):
@@ -154,7 +156,7 @@ def test_the_draws_above_are_of_every_kind(cell, proximity):
     random = np.random.default_rng(1)
     kinds = {"clear": 0, "open": 0} | ({} if len(cell.robots) == 3 else {"too near": 0})
     for _ in range(60):
-        placed((proximity,), strips(cell, random))
+        placed((proximity,), spans(cell, random))
         for (listed,) in lists(proximity):
             if listed:
                 look = proximity.look(listed, 1e-5)
@@ -164,7 +166,7 @@ def test_the_draws_above_are_of_every_kind(cell, proximity):
 
 def test_nothing_that_was_asked_before_changes_a_bit(cell, proximity):
     random = np.random.default_rng(5)
-    drawn = strips(cell, random)
+    drawn = spans(cell, random)
 
     def answers(by):
         placed((by,), drawn)
@@ -174,7 +176,7 @@ def test_nothing_that_was_asked_before_changes_a_bit(cell, proximity):
 
     first = answers(proximity)
     for _ in range(5):
-        placed((proximity,), strips(cell, random))
+        placed((proximity,), spans(cell, random))
         for (listed,) in lists(proximity):
             if listed:
                 proximity.look(listed, float(random.uniform(0, 0.3)))
@@ -217,7 +219,7 @@ def test_what_fails_can_be_looked_at_again(cell, proximity):
     random = np.random.default_rng(2)
     seen = 0
     for _ in range(30):
-        placed((proximity,), strips(cell, random))
+        placed((proximity,), spans(cell, random))
         for (listed,) in lists(proximity):
             failing = proximity.look(listed, 0.3).failing if listed else []
             if failing:
@@ -238,7 +240,7 @@ def test_of_bodies_in_one_another_the_deepest_is_told(reference, proximity, cell
     random = np.random.default_rng(11)
     deep = 0
     for _ in range(60):
-        placed((reference, proximity), strips(cell, random))
+        placed((reference, proximity), spans(cell, random))
         for readable, quick in lists(reference, proximity):
             expected = reference.look(readable, 1e-5) if readable else None
             if expected is not None and expected.tightest.distance_m < -1e-3:
@@ -260,7 +262,9 @@ robot = cell.robots["dawm"]
 for _ in range(4):
     q = np.clip(robot.home + random.uniform(-0.5, 0.5, robot.n), robot.lower, robot.upper)
     direction = random.uniform(-0.05, 0.05, robot.n)
-    proximity.place("dawm", q, np.abs(direction) + 0.002, direction)
+    offsets = np.array([-direction, direction, 0.5 * direction[::-1]])
+    half = np.abs(offsets).max(axis=0) + 0.002
+    proximity.place("dawm", q, half, offsets, np.full(robot.n, 0.002))
     look = proximity.look(proximity.alone["dawm"], 0.02)
     print(look.too_near, *look.tightest.pair, *proximity._found.open.astype(int), *proximity._found.normal.ravel())
     tube = proximity.whole_tube("dawm", np.array([q, q + direction, q + 2 * direction + 0.01]), 1, 0, 3)
@@ -294,6 +298,7 @@ def test_no_liberties_are_taken_with_numbers():
         kernel.look,
         kernel.gap,
         kernel.keeps,
+        kernel.separate_pairs,
         compiled_proximity.place,
         compiled_proximity.certify,
     ):

@@ -42,6 +42,7 @@ PAIRS = [
 
 
 STILL = np.zeros(3)
+VERTICES = {"one": 3, "other": 2, "structure": 1}
 
 
 @dataclass
@@ -64,14 +65,20 @@ def norm(vector):
 
 
 class Scene:
-    """Two robots, a floor and a wall, along strips; with turns and lengths as large as they are given."""
+    """Two robots, a floor and a wall, within spans; with turns and lengths as large as they are given."""
 
     def __init__(self, random, length=0.1, width=0.01):
         self.random = random
         self.axes = [unit(random) for _ in range(JOINTS)]
         self.axes[2] = np.array([1.0, 0.0, 0.0])  # as an axis may be that has two zeros
         self.points = random.uniform(-1, 1, (JOINTS, 3))
-        self.direction = random.uniform(-1, 1, JOINTS) * length
+        self.offsets = {
+            owner: random.uniform(-1, 1, (count, JOINTS))
+            * length
+            * np.isin(range(JOINTS), ROBOTS.get(owner, ()))
+            for owner, count in VERTICES.items()
+        }
+        self.along = sum(np.abs(offsets).max(axis=0) for offsets in self.offsets.values())
         self.deviation = random.uniform(0, 1, JOINTS) * width
         self.separation, self.bodies = Separation(JOINTS), {}
         self.add("floor", "wall")
@@ -114,10 +121,11 @@ class Scene:
         among = slice(joints[0], joints[-1] + 1)
         arms = np.array([[self.arm(name, joint) for joint in joints] for name in names])
         J = np.array([self.twist(joint, 1.0) for joint in joints]).T
-        half = np.abs(self.direction) + self.deviation
+        half = self.along + self.deviation
         corners = np.array([self.bodies[name].corners for name in names])
         axes = np.array([self.bodies[name].axis for name in names])
-        self.separation.move(places, corners, axes, among, arms, J, self.direction[among], half[among])
+        offsets, deviation = self.offsets[names[0].partition("/")[0]][:, among], self.deviation[among]
+        self.separation.move(places, corners, axes, among, arms, J, half[among], offsets, deviation)
 
     def arm(self, name, joint):
         """Greatest distance of a point of a body from a joint's axis, 1 if that is prismatic or moves it not."""
@@ -145,12 +153,14 @@ class Scene:
         mine, theirs = (set(SHAPES[name][1]) for name in pair)
         return sorted(mine - theirs), sorted(theirs - mine)
 
-    def over_the_strip(self, joints):
-        return sum((self.twist(joint, self.direction[joint]) for joint in joints), start=np.zeros(6))
+    def to_vertex(self, name, vertex, joints):
+        """How a body moves from the middle of the span to a vertex, by some joints."""
+        offset = self.offsets[self.bodies[name].owner][vertex]
+        return sum((self.twist(joint, offset[joint]) for joint in joints), start=np.zeros(6))
 
     def blur(self, pair):
         """What deviations and all that is of second order may take from a gap."""
-        half, total = np.abs(self.direction) + self.deviation, 0.0
+        half, total = self.along + self.deviation, 0.0
         for name, joints in zip(pair, self.apart(pair), strict=True):
             travel = sum(half[joint] * self.arm(name, joint) for joint in joints)
             total += sum(self.deviation[joint] * self.arm(name, joint) for joint in joints)
@@ -160,36 +170,42 @@ class Scene:
                 total += half[outer] * (self.arm(name, outer) + travel) * (inner + itself)
         return total
 
-    def ends(self, pair):
-        """Which ends of the strips the two bodies may be at: bodies of one robot are at the same."""
-        same = self.bodies[pair[0]].owner == self.bodies[pair[1]].owner
-        return [(t, u) for t, u in product((-1, 1), (-1, 1)) if t == u or not same]
+    def vertices(self, pair):
+        """Which vertices of the spans the two bodies may be at: bodies of one robot are at the same."""
+        first, second = (self.bodies[name].owner for name in pair)
+        every = product(range(VERTICES[first]), range(VERTICES[second]))
+        return [(k, m) for k, m in every if k == m or first != second]
 
-    def gap(self, pair, n, turn=STILL, turned_by=0):
+    def gap(self, pair, n, turned_by=None):
         """Least gap along a plane that stands, or that turns with one of the bodies, to first order."""
         gaps = []
-        for ends in self.ends(pair):
+        for vertices in self.vertices(pair):
+            turn = STILL if turned_by is None else self.turn(pair, n, turned_by, vertices[turned_by])
             reach = 0.0
             for side, (name, joints) in enumerate(zip(pair, self.apart(pair), strict=True)):
-                sign, (v, w) = (1, -1)[side], self.over_the_strip(joints).reshape(2, 3)
-                along = n + ends[turned_by] * turn + ends[side] * np.cross(n, w)
-                reach += self.bodies[name].reach(sign * along) + ends[side] * sign * (n @ v)
+                sign, (v, w) = (1, -1)[side], self.to_vertex(name, vertices[side], joints).reshape(2, 3)
+                along = n + turn + np.cross(n, w)
+                reach += self.bodies[name].reach(sign * along) + sign * (n @ v)
             gaps.append(-reach)
         return min(gaps)
+
+    def turn(self, pair, n, body, vertex):
+        """How the normal of a plane changes that turns with a body to a vertex."""
+        return np.cross(self.to_vertex(pair[body], vertex, self.apart(pair)[body])[3:], n)
 
     def room_of_a_standing_plane(self, pair, n):
         return self.gap(pair, n) - self.blur(pair)
 
     def room_of_a_turning_plane(self, pair, n, body):
-        w = self.over_the_strip(self.apart(pair)[body])[3:]
-        turn = np.cross(w, n)
+        vertices = range(VERTICES[self.bodies[pair[body]].owner])
+        angle = max(norm(self.turn(pair, n, body, vertex)) for vertex in vertices)
         travel = sum(
-            abs(self.direction[joint]) * self.arm(name, joint)
+            self.along[joint] * self.arm(name, joint)
             for name, joints in zip(pair, self.apart(pair), strict=True)
             for joint in joints
         )
-        left = self.gap(pair, n, turn, body) - norm(turn) * travel
-        return (left / np.sqrt(1 + turn @ turn) if left > 0 else left) - self.blur(pair)
+        left = self.gap(pair, n, body) - angle * travel
+        return (left / np.sqrt(1 + angle**2) if left > 0 else left) - self.blur(pair)
 
     def rooms(self, pair, n):
         turning = [self.room_of_a_turning_plane(pair, n, body) for body in (0, 1)]

@@ -5,6 +5,7 @@ import pinocchio as pin
 import pytest
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_cell.extents import Extents
 from deltaq_cell.proximity import ProximityEngine
 from deltaq_verification.oracle import ClearanceOracle
@@ -129,6 +130,28 @@ def test_a_screen_leaves_out_nothing_that_a_look_at_all_would_find(proximity, se
             assert bound_m <= proximity.least(group) - group.stop_distance_m + 1e-6
 
 
+LENS_IN_THE_FLOOR = np.radians([162.0, -5.0, 60.0, 247.0, -41.0, -97.0])
+
+
+@pytest.mark.parametrize("engine", [ProximityEngine, CompiledProximity])
+def test_a_body_that_is_deeper_in_another_than_it_is_thick_is_still_asked_how_deep_it_is(engine):
+    """The middle of the ball around it lies within the box around the other then."""
+    proximity = engine(CELL)
+    proximity.place("fr", LENS_IN_THE_FLOOR, STILL["fr"])
+    tool = next(
+        g for g in proximity.alone["fr"] if g.pairs[0][1].name == "structure/floor" and len(g.pairs) > 1
+    )
+    lens = next(index for index, (body, _) in enumerate(tool.pairs) if body.name == "fr/tool_lens_left")
+    single = proximity.pair(tool, lens)
+    depth = proximity.least(single)
+    assert depth < -0.06
+    for stop_m, failing in ((depth + 1e-3, [single]), (depth - 1e-3, [])):
+        single.stop_distance_m = stop_m
+        assert proximity.look([single], 0.0).failing == failing
+        others = [group for group in proximity.alone["fr"] if group is not tool]
+        assert (single in proximity.look([*others, single], 0.0).failing) == bool(failing)
+
+
 def test_a_screen_spares_most_of_the_work(proximity):
     for name, q in HOMES.items():
         proximity.place(name, q, STILL[name])
@@ -182,7 +205,8 @@ def test_a_pair_alone_is_looked_at_with_its_own_planes(proximity):
     """The room that planes show of a group is the least of what they show of its pairs."""
     q, _ = drawn(7)
     direction = 0.05 * np.sign(np.random.default_rng(7).normal(size=6))
-    proximity.place("fr", q["fr"], np.abs(direction) + 1e-3, direction)
+    offsets, wide = np.array([-direction, direction, 0.2 * direction[::-1]]), np.full(6, 1e-3)
+    proximity.place("fr", q["fr"], np.abs(direction) + wide, offsets, wide)
 
     def room(groups):
         low, high = -1.0, 1.0

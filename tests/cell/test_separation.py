@@ -1,9 +1,10 @@
-"""Planes: what they are said to keep apart over a strip of joint space stays apart at every sample of it."""
+"""Planes: what they are said to keep apart over a span of joint space stays apart at every sample of it."""
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from spans import draw_span
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.compiled_proximity import CompiledProximity
@@ -27,23 +28,20 @@ def configuration(robot, random):
     return np.clip(near_home, robot.lower, robot.upper)
 
 
-def strip(robot, random):
-    """Middle, half-widths and direction of a strip, long or short, thin or wide, of all joints or of a few."""
-    length, width = 10.0 ** random.uniform(-2, -0.5), 10.0 ** random.uniform(-4, -1.5)
-    direction = (
-        random.uniform(-1, 1, robot.n) * length * (random.uniform(size=robot.n) < random.uniform(0.1, 1))
-    )
-    return configuration(robot, random), np.abs(direction) + random.uniform(0, width, robot.n), direction
+def span(robot, random):
+    """Middle and span, anywhere near home."""
+    return configuration(robot, random), *draw_span(robot.n, random)
 
 
-def inside(middle, half, direction, random, t):
-    """A sample at t, mostly in a corner of what the strip is wide."""
+def inside(middle, half, offsets, deviation, random, at):
+    """A sample at a vertex, or anywhere between some, and mostly in a corner of what the span is wide."""
+    share = np.eye(len(offsets))[at % len(offsets)] if at >= 0 else random.dirichlet(np.ones(len(offsets)))
     aside = (
         np.sign(random.normal(size=middle.size))
         if random.uniform() < 0.8
         else random.uniform(-1, 1, middle.size)
     )
-    return middle + t * direction + aside * (half - np.abs(direction))
+    return middle + share @ offsets + aside * deviation
 
 
 def greatest_room(proximity, group):
@@ -58,10 +56,10 @@ def greatest_room(proximity, group):
 @pytest.mark.long
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(0, 2**32 - 1))
-def test_no_sample_of_a_strip_is_nearer_than_a_look_shows(cell, proximity, seed):
+def test_no_sample_of_a_span_is_nearer_than_a_look_shows(cell, proximity, seed):
     random = np.random.default_rng(seed)
-    strips = {name: strip(robot, random) for name, robot in cell.robots.items()}
-    for name, where in strips.items():
+    spans = {name: span(robot, random) for name, robot in cell.robots.items()}
+    for name, where in spans.items():
         proximity.place(name, *where)
     groups = [g for groups in (*proximity.alone.values(), *proximity.between.values()) for g in groups]
     some = [groups[index] for index in random.choice(len(groups), 12)]
@@ -70,9 +68,9 @@ def test_no_sample_of_a_strip_is_nearer_than_a_look_shows(cell, proximity, seed)
     # those that inflated bodies show are another test's
     by_planes = [item for item in zip(some, shown, swept, strict=True) if item[1] > item[2] + 1e-3]
     for sample in range(24):
-        t = (-1.0, 1.0)[sample % 2]
-        for name, where in strips.items():
-            q = inside(*where, random, t if sample < 12 else random.choice([-t, t, random.uniform(-1, 1)]))
+        for name, where in spans.items():
+            # the first with all robots at the same vertices, then each anywhere
+            q = inside(*where, random, sample if sample < 12 else int(random.integers(-2, 4)))
             proximity.place(name, q, np.zeros_like(q))
         for group, room, _ in by_planes:
             assert proximity.least(group) >= group.stop_distance_m + room - 1e-6, sample
@@ -85,11 +83,11 @@ def test_planes_show_what_inflated_bodies_do_not(cell, proximity):
     shown = []
     for _ in range(5):
         for name, robot in cell.robots.items():
-            proximity.place(name, *strip(robot, random))
+            proximity.place(name, *span(robot, random))
         for group in proximity.alone[name][::5]:
             swept = proximity.least(group) - group.stop_distance_m
             shown.append(greatest_room(proximity, group) > swept + 1e-3)
-    assert np.mean(shown) > 0.3
+    assert np.mean(shown) > 0.1
 
 
 def test_sliding_along_a_body_costs_no_room(proximity, cell):
@@ -102,7 +100,7 @@ def test_sliding_along_a_body_costs_no_room(proximity, cell):
     spins = np.zeros(robot.n)
     spins[0] = 0.05  # the first joint of every robot here turns about the vertical, or slides level
     room = min(proximity.least(group) - group.stop_distance_m for group in floor)
-    proximity.place(name, robot.home, np.abs(spins), spins)
+    proximity.place(name, robot.home, np.abs(spins), np.array([-spins, spins]), half)
     assert proximity.look(floor, room - 0.02).failing == []
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deltaq_services.sim.tube import Branch, Strip, Windows, tube
+from deltaq_services.sim.tube import Branch, Windows, tube
 
 HERE = np.array([1.0, 2.0])
 DQ = np.array([0.4, -0.8])
@@ -72,8 +72,8 @@ BENT = LINE + np.array([[0.0, 0.0], [0.0, 0.05]] * 5)
 
 def ends(piece):
     """First and last setpoint, counted along the line, of what a piece holds."""
-    strip = piece.strip()
-    return pytest.approx([(strip.middle[0] - strip.half[0]) / 0.1, (strip.middle[0] + strip.half[0]) / 0.1])
+    span = piece.span()
+    return pytest.approx([(span.middle[0] - span.half[0]) / 0.1, (span.middle[0] + span.half[0]) / 0.1])
 
 
 @pytest.mark.parametrize(
@@ -108,15 +108,6 @@ def test_a_single_window_is_halved_along_its_line():
     left, right = Windows(LINE, 2, 5, 5).halves()
     assert ends(left) == [3, 4]
     assert ends(right) == [4, 5]
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-def test_a_strip_is_no_wider_than_its_points_and_holds_those_beside_its_ends(sign):
-    points = sign * np.array([[0.0, 0.0], [1.0, 0.5], [0.05, -0.45]])
-    strip = Strip.around(points)
-    np.testing.assert_allclose(np.abs(strip.direction), [0.5, 0.25])
-    np.testing.assert_allclose(strip.deviation, [0.025, 0.225])
-    np.testing.assert_allclose(strip.middle, sign * np.array([0.525, 0.025]))
 
 
 def test_a_robot_that_was_heard_once_is_where_it_said():

@@ -9,7 +9,7 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_services.sim.certificate import Certifier
 from deltaq_services.sim.limits import Limits
-from deltaq_services.sim.tube import Branch, Strip, tube
+from deltaq_services.sim.tube import Branch, Span, tube
 from deltaq_verification.oracle import ClearanceOracle
 
 LAG = 6
@@ -128,5 +128,5 @@ def test_the_order_of_the_queries_changes_no_bit(cell, proximity):
 
 def test_an_empty_budget_means_no(cell, proximity):
     q = cell.robots["fr"].home
-    far = Strip.around(np.array([q, np.clip(q + 1.0, cell.robots["fr"].lower, cell.robots["fr"].upper)]))
+    far = Span.around(np.array([q, np.clip(q + 1.0, cell.robots["fr"].lower, cell.robots["fr"].upper)]))
     assert not Certifier(proximity, budget=0).certify("fr", far, []).holds

@@ -2,6 +2,6 @@
 
 `certify` divides tubes into `pieces` until every pair of bodies is shown to keep apart in them. In each piece `place`
 says where bodies are, and `look` which pairs have not the room that is asked for: by balls, by tight `boxes`, by the
-distance at the middle (`gap`, with the search of `simplex`), and by `planes` over a whole strip. `strip` finds a strip
+distance at the middle (`gap`, with the search of `simplex`), and by `planes` over a whole span. `span` finds a span
 around a path. All of them work on `arrays`, which are filled once and written over and over.
 """

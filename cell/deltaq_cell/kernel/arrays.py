@@ -68,31 +68,35 @@ class Anatomy(NamedTuple):
 
 
 class Placed(NamedTuple):
-    """Where the robots of a cell are, each somewhere in a strip of joint space.
+    """Where the robots of a cell are, each somewhere in a span of joint space.
 
     Attributes:
         rotation: (joints, 3, 3) of the joints' frames.
         translation: (joints, 3) [m].
         columns: (joints, 6) of the geometric Jacobian at the world's origin, linear first.
-        half: (joints,) half-widths of the strip, |direction| + deviation.
-        deviation: (joints,) how far the strip is wide.
-        direction: (joints,) along which it lies.
+        half: (joints,) half-widths of a box around the span.
+        vertices: (robots,) how many vertices the span of each robot has.
+        offset: (VERTICES, joints) of its vertices from the middle of that box.
+        along: (joints,) the greatest of them.
+        deviation: (joints,) how far the span is wide.
         corners: (bodies, k, 3) [m].
         axis: (bodies, 3).
         centre: (bodies, 3) of balls and boxes [m].
         edges: (bodies, 3, 3) rows of unit vectors along the edges of the tight boxes.
         box_centre: (bodies, 3) of those [m].
-        arms: (bodies, joints) greatest distances of points from the axes, zero where the strip has no width
+        arms: (bodies, joints) greatest distances of points from the axes, zero where the span has no width
             [m/rad or m/m].
-        travel: (bodies,) bound of the way of any point within the strip [m].
+        travel: (bodies,) bound of the way of any point within the span [m].
     """
 
     rotation: Array
     translation: Array
     columns: Array
     half: Array
+    vertices: Integers
+    offset: Array
+    along: Array
     deviation: Array
-    direction: Array
     corners: Array
     axis: Array
     centre: Array
@@ -150,7 +154,7 @@ class Findings(NamedTuple):
         normal: (pairs, 3) from first to second body, unit vectors of pairs that were searched.
         open: (pairs,) whether a pair has not been shown to have the room asked for.
         simplex: (4, 3) of the search between two bodies.
-        twist: (2, 6) of two bodies over the strip.
+        twist: (2, VERTICES, 6) of two bodies, from the middle of their spans to each vertex.
     """
 
     room_m: Array

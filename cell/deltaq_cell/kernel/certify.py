@@ -10,9 +10,20 @@ from typing import NamedTuple
 
 from deltaq_cell.compiled import inlined, makes_no_array
 from deltaq_cell.kernel.arrays import Anatomy, Findings, Integers, Pairs, Placed
-from deltaq_cell.kernel.look import NONE, look
-from deltaq_cell.kernel.pieces import MINE, THEIRS, Stack, Tube, begin, divide, divides, lay_strip, want
-from deltaq_cell.kernel.place import place
+from deltaq_cell.kernel.look import NONE, look, separate
+from deltaq_cell.kernel.pieces import (
+    MINE,
+    THEIRS,
+    Stack,
+    Tube,
+    begin,
+    divide,
+    divides,
+    lay_box,
+    lay_span,
+    want,
+)
+from deltaq_cell.kernel.place import place, spread
 
 
 class TubesCertified(NamedTuple):
@@ -79,9 +90,14 @@ def certify(
         want(stack, row, pairs)
         _place(cell, placed, stack, row, MINE, mine)
         _place(cell, placed, stack, row, THEIRS, theirs)
-        tightest, too_near, searched = look(
-            cell, placed, pairs, stack.chosen[first:last], room_m, whole, whole and tells, found
+        chosen = stack.chosen[first:last]
+        tightest, any_open, too_near, searched = look(
+            cell, placed, pairs, chosen, room_m, whole, whole and tells, found
         )
+        if any_open and not too_near:
+            _spread(cell, placed, stack, row, MINE, mine)
+            _spread(cell, placed, stack, row, THEIRS, theirs)
+            separate(cell, placed, pairs, chosen, room_m, found)
         if whole and tells:
             told, travel_m, least_m, most_m = _tell(stack, row, tightest, pairs, found)
         elif not whole:
@@ -96,9 +112,9 @@ def certify(
             top -= 1
             continue
         # the one that travels further is divided first
-        mine_divides, theirs_divides = divides(stack, row, MINE, mine), divides(stack, row, THEIRS, theirs)
-        divides_on = (mine_divides or theirs_divides) and top < len(stack.part)
-        if budget < 0 or too_near or not divides_on:
+        mine_divides = not too_near and divides(stack, row, MINE, mine)
+        theirs_divides = not too_near and divides(stack, row, THEIRS, theirs)
+        if budget < 0 or not (mine_divides or theirs_divides) or top == len(stack.part):
             told, travel_m, least_m, most_m = _tell(stack, row, tightest, pairs, found)
             return TubesCertified(False, budget, told, travel_m, least_m, most_m, too_near, last, open_end)
         stack.part[row, 0], stack.part[row, 1] = last, open_end
@@ -121,7 +137,7 @@ def _place(cell: Anatomy, placed: Placed, stack: Stack, row: int, side: int, tub
     stack.placed[side, 0], stack.placed[side, 1] = serial, first
     stack.greatest[side] = 0.0
     if len(tube.points) > 0:
-        lay_strip(stack, row, side, tube)
+        lay_box(stack, row, side, tube)
         stack.greatest[side] = place(
             cell,
             placed,
@@ -129,9 +145,17 @@ def _place(cell: Anatomy, placed: Placed, stack: Stack, row: int, side: int, tub
             tube.bodies,
             stack.wanted,
             stack.middle[row, side],
-            stack.direction[row, side],
-            stack.deviation[row, side],
+            stack.half[row, side],
         )
+
+
+@inlined
+def _spread(cell: Anatomy, placed: Placed, stack: Stack, row: int, side: int, tube: Tube) -> None:
+    """Say which span a robot that is placed is in; only planes ask for it."""
+    if len(tube.points) > 0:
+        lay_span(stack, row, side, tube)
+        offset, vertices = stack.offset[row, side], stack.vertices[row, side]
+        spread(cell, placed, tube.joints, tube.bodies, offset, vertices, stack.deviation[row, side])
 
 
 @inlined

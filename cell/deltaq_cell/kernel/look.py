@@ -1,9 +1,9 @@
 """One look of the gate at many pairs of bodies.
 
-It answers what `deltaq_cell.proximity` does, pair by pair: the first look with bodies inflated by their travel, and for
-what that leaves open the planes of the second and third look. Balls and boxes leave most pairs out, planes between the
-bodies at the middle nearly all others (`deltaq_cell.kernel.gap`): a pair is left out only by a lower bound, rounding
-taken off, that exceeds what is asked.
+It answers what `deltaq_cell.proximity` does, pair by pair: `look` with bodies inflated by their travel, and for what
+that leaves open `separate` with planes, first those that stand and then those that turn. Balls and boxes leave most
+pairs out, planes between the bodies at the middle nearly all others (`deltaq_cell.kernel.gap`): a pair is left out only
+by a lower bound, rounding taken off, that exceeds what is asked.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def look(
     aims: bool,
     tells: bool,
     found: Findings,
-) -> tuple[int, bool, int]:
+) -> tuple[int, bool, bool, int]:
     """Find the pairs that are not shown to have `room_m` beyond their stop distance.
 
     Args:
@@ -44,15 +44,14 @@ def look(
         found: is written to; its `open` tells the pairs.
 
     Returns:
-        Index of the pair with the least swept distance beyond its stop distance, whether an open pair has not
-        got its room even at the middle of the strip, and how many pairs were searched. If one is too near, no planes
-        are looked for.
+        Index of the pair with the least swept distance beyond its stop distance, whether pairs are open, whether one
+        of those has not got its room even at the middle, and how many pairs were searched.
     """
     nearest = _screen(cell, placed, pairs, chosen, aims, found)
     if nearest == NONE:
-        return NONE, False, 0
+        return NONE, False, False, 0
     # the one whose ball is nearest has often the least room, so that the others need not be measured to the end
-    tightest, least, any_open, searched = NONE, math.inf, False, 0
+    tightest, least, any_open, too_near, searched = NONE, math.inf, False, False, 0
     for step in range(-1, len(chosen)):
         index = nearest if step < 0 else chosen[step]
         enough = max(room_m, least) if tells else room_m
@@ -79,7 +78,39 @@ def look(
             tightest, least = index, upper - kept
         if lower - kept < room_m:
             found.open[index] = any_open = True
-    return tightest, any_open and _separate(cell, placed, pairs, chosen, room_m, found), searched
+            too_near = too_near or upper < pairs.stop_m[index] + room_m
+    return tightest, any_open, too_near, searched
+
+
+@inlined
+def separate(
+    cell: Anatomy, placed: Placed, pairs: Pairs, chosen: Integers, room_m: float, found: Findings
+) -> None:
+    """Close the open pairs that planes keep apart over the spans where robots are; none is too near at the middle.
+
+    Args:
+        cell: what stays.
+        placed: where the robots are.
+        pairs: of the cell.
+        chosen: (k,) indices of those that were looked at.
+        room_m: what is asked for [m].
+        found: of that look, is written to.
+    """
+    for index in chosen:
+        if found.open[index]:
+            first, second, asked_m = pairs.first[index], pairs.second[index], pairs.stop_m[index] + room_m
+            at_most_m = found.at_most_m[index]
+            found.open[index] = not keeps(
+                cell, placed, first, second, found.normal[index], at_most_m, asked_m, found.twist
+            )
+
+
+@makes_no_array
+def separate_pairs(
+    cell: Anatomy, placed: Placed, pairs: Pairs, chosen: Integers, room_m: float, found: Findings
+) -> None:
+    """`separate`, for callers outside of the kernel."""
+    separate(cell, placed, pairs, chosen, room_m, found)
 
 
 @inlined
@@ -104,10 +135,11 @@ def _screen(
                 # a joint that moves both leaves their distance as it is
                 if moved_by[one, joint] != moved_by[other, joint]:
                     swept += half[joint] * (arms[one, joint] + arms[other, joint])
-        square = 0.0
+        square, inside = 0.0, -math.inf
         for k in range(3):
             way = centre[other, k] - centre[one, k]
             beyond = abs(way) - box[one, k] - box[other, k]
+            inside = max(inside, beyond)
             if beyond > 0.0:
                 square += beyond**2
             if aims:
@@ -115,27 +147,11 @@ def _screen(
         if aims and square == 0.0:
             for k in range(3):
                 found.normal[index, k] = centre[other, k] - centre[one, k]
-        distance = math.sqrt(square) - radius[one] - radius[other] - ROUNDING_M
+        # of a middle within a box as far as it is from there to the nearest face, the other way
+        between = math.sqrt(square) if square > 0.0 else inside
+        distance = between - radius[one] - radius[other] - ROUNDING_M
         found.travel_m[index] = swept
         found.room_m[index] = distance - swept - pairs.stop_m[index]
         if nearest == NONE or found.room_m[index] < least:
             nearest, least = index, found.room_m[index]
     return nearest
-
-
-@inlined
-def _separate(
-    cell: Anatomy, placed: Placed, pairs: Pairs, chosen: Integers, room_m: float, found: Findings
-) -> bool:
-    """Close the open pairs that planes keep apart, unless one is too near at the middle; returns whether one is."""
-    for index in chosen:
-        if found.open[index] and found.at_most_m[index] < pairs.stop_m[index] + room_m:
-            return True
-    for index in chosen:
-        if found.open[index]:
-            first, second, asked_m = pairs.first[index], pairs.second[index], pairs.stop_m[index] + room_m
-            at_most_m = found.at_most_m[index]
-            found.open[index] = not keeps(
-                cell, placed, first, second, found.normal[index], at_most_m, asked_m, found.twist
-            )
-    return False

@@ -1,4 +1,4 @@
-"""The kernel's pieces of tubes: windows or strips of joint space, on a stack, each divided into two halves.
+"""The kernel's pieces of tubes: windows or spans of joint space, on a stack, each divided into two halves.
 
 `deltaq_services.sim.tube` says the same in plain words. A row of the stack is a piece of one robot's tube, a piece of
 another's, and the pairs of bodies that have not been shown to keep apart in them.
@@ -12,23 +12,20 @@ import numpy as np
 
 from deltaq_cell.compiled import inlined
 from deltaq_cell.kernel.arrays import Integers, Pairs
-from deltaq_cell.kernel.strip import write_strip
+from deltaq_cell.kernel.span import SHORTEST, VERTICES, centre, write_box, write_span
 from deltaq_protocol.arrays import Array, Flags
 
 MINE, THEIRS = 0, 1
 """The two robots of a row; without another robot the second piece is never divided."""
 
-SHORTEST = 1e-7
-"""Strips are not divided below this half-length [rad or m]."""
-
 ROWS = 128
-"""Of a stack: windows and strips are halved fewer than a hundred times on the way to their smallest parts."""
+"""Of a stack: windows and spans are halved fewer than a hundred times on the way to their smallest parts."""
 
 _NOWHERE = -1
 """Serial number of no piece."""
 
-_STRIP = -1
-"""In place of the first window of a piece that is a strip."""
+_SPAN = -1
+"""In place of the first window of a piece that is a part of a span."""
 
 
 class Tube(NamedTuple):
@@ -55,9 +52,11 @@ class Stack(NamedTuple):
     """Pieces that are still to be looked at, and what was looked at last.
 
     Attributes:
-        window: (rows, 2, 2) first and last window of each piece; of a strip the first is -1.
-        middle: (rows, 2, joints) of the strip around each piece [rad or m].
-        direction: (rows, 2, joints) [rad or m].
+        window: (rows, 2, 2) first and last window of each piece; of a part of a span the first is -1.
+        middle: (rows, 2, joints) of the box around each piece [rad or m].
+        half: (rows, 2, joints) its half-widths.
+        vertices: (rows, 2) how many vertices the span around each piece has; zero if it is not laid.
+        offset: (rows, 2, VERTICES, joints) of those from the middle of the box.
         deviation: (rows, 2, joints) [rad or m].
         serial: (rows, 2) number of each piece, which tells it from all others.
         greatest: (2,) travel of the bodies of either robot where it was placed last [m].
@@ -65,13 +64,17 @@ class Stack(NamedTuple):
         part: (rows, 2) where in `chosen` the pairs of each row begin and end.
         chosen: indices of pairs, those of a row after those of the rows that it is part of.
         wanted: (bodies,) the bodies of the pairs of one row.
+        kept: (2, VERTICES) scratch.
+        beside: (VERTICES,) scratch.
         aside: (2, joints) scratch.
         told: (2, joints) middles of the pieces in which the pair that is told was found [rad or m].
     """
 
     window: Integers
     middle: Array
-    direction: Array
+    half: Array
+    vertices: Integers
+    offset: Array
     deviation: Array
     serial: Integers
     greatest: Array
@@ -79,6 +82,8 @@ class Stack(NamedTuple):
     part: Integers
     chosen: Integers
     wanted: Flags
+    kept: Integers
+    beside: Array
     aside: Array
     told: Array
 
@@ -88,7 +93,9 @@ def stack_of(joints: int, bodies: int, pairs: int, rows: int = ROWS) -> Stack:
     return Stack(
         window=np.zeros((rows, 2, 2), dtype=np.int64),
         middle=np.zeros((rows, 2, joints)),
-        direction=np.zeros((rows, 2, joints)),
+        half=np.zeros((rows, 2, joints)),
+        vertices=np.zeros((rows, 2), dtype=np.int64),
+        offset=np.zeros((rows, 2, VERTICES, joints)),
         deviation=np.zeros((rows, 2, joints)),
         serial=np.zeros((rows, 2), dtype=np.int64),
         greatest=np.zeros(2),
@@ -96,6 +103,8 @@ def stack_of(joints: int, bodies: int, pairs: int, rows: int = ROWS) -> Stack:
         part=np.zeros((rows, 2), dtype=np.int64),
         chosen=np.zeros(rows * max(pairs, 1), dtype=np.int64),
         wanted=np.zeros(bodies, dtype=bool),
+        kept=np.zeros((2, VERTICES), dtype=np.int64),
+        beside=np.zeros(VERTICES),
         aside=np.zeros((2, joints)),
         told=np.zeros((2, joints)),
     )
@@ -113,6 +122,7 @@ def begin(stack: Stack, mine: Tube, theirs: Tube, pairs: Pairs, asked: Integers)
     stack.window[0, THEIRS, 0], stack.window[0, THEIRS, 1] = theirs.first, theirs.last
     stack.part[0, 0], stack.part[0, 1] = 0, count
     for side in range(2):
+        stack.vertices[0, side] = 0
         stack.serial[0, side], stack.placed[side, 0] = 0, _NOWHERE
     return count
 
@@ -128,24 +138,38 @@ def want(stack: Stack, row: int, pairs: Pairs) -> None:
 
 
 @inlined
-def lay_strip(stack: Stack, row: int, side: int, tube: Tube) -> None:
-    """Lay the strip of a piece of windows around their setpoints; a strip is as it is."""
+def lay_box(stack: Stack, row: int, side: int, tube: Tube) -> None:
+    """Lay the box of a piece of windows around their setpoints; that of a part of a span is as it is."""
+    if stack.window[row, side, 0] != _SPAN:
+        write_box(_setpoints(stack, row, side, tube), stack.middle[row, side], stack.half[row, side])
+
+
+@inlined
+def lay_span(stack: Stack, row: int, side: int, tube: Tube) -> None:
+    """Lay the span of a piece within its box, unless it is laid."""
+    if stack.vertices[row, side] == 0:
+        stack.vertices[row, side] = write_span(
+            _setpoints(stack, row, side, tube),
+            stack.middle[row, side],
+            stack.offset[row, side],
+            stack.deviation[row, side],
+            stack.kept,
+            stack.beside,
+            stack.aside,
+        )
+
+
+@inlined
+def _setpoints(stack: Stack, row: int, side: int, tube: Tube) -> Array:
+    """(k, n) those of a piece's windows."""
     first, last = stack.window[row, side, 0], stack.window[row, side, 1]
-    if first == _STRIP:
-        return
     start = max(0, min(first - tube.lag, len(tube.points) - 1))
-    write_strip(
-        tube.points[start : last + 1],
-        stack.middle[row, side],
-        stack.direction[row, side],
-        stack.deviation[row, side],
-        stack.aside,
-    )
+    return tube.points[start : last + 1]
 
 
 @inlined
 def divides(stack: Stack, row: int, side: int, tube: Tube) -> bool:
-    """Whether a piece whose strip is laid can be divided."""
+    """Whether a piece whose span is laid can be divided."""
     return _by_windows(stack, row, side, tube) or _by_length(stack, row, side, tube)
 
 
@@ -160,21 +184,33 @@ def divide(stack: Stack, row: int, side: int, tube: Tube, serial: int) -> None:
     for both in range(2):
         for k in range(2):
             stack.window[row + 1, both, k] = stack.window[row, both, k]
+        stack.vertices[row + 1, both] = stack.vertices[row, both]
         for joint in range(stack.middle.shape[2]):
             stack.middle[row + 1, both, joint] = stack.middle[row, both, joint]
-            stack.direction[row + 1, both, joint] = stack.direction[row, both, joint]
+            stack.half[row + 1, both, joint] = stack.half[row, both, joint]
             stack.deviation[row + 1, both, joint] = stack.deviation[row, both, joint]
+            for vertex in range(stack.vertices[row, both]):
+                stack.offset[row + 1, both, vertex, joint] = stack.offset[row, both, vertex, joint]
     stack.part[row + 1, 0], stack.part[row + 1, 1] = stack.part[row, 0], stack.part[row, 1]
     if _by_windows(stack, row, side, tube):
         middle = (stack.window[row, side, 0] + stack.window[row, side, 1]) // 2
         stack.window[row, side, 1], stack.window[row + 1, side, 0] = middle, middle + 1
+        stack.vertices[row, side] = stack.vertices[row + 1, side] = 0
         return
+    one, other, _ = _longest(stack, row, side, tube.points.shape[1])
     for half in range(2):
-        stack.window[row + half, side, 0] = _STRIP
+        stack.window[row + half, side, 0] = _SPAN
+        offset = stack.offset[row + half, side]
         for joint in range(tube.points.shape[1]):
-            shift = stack.direction[row + half, side, joint] / 2.0
-            stack.direction[row + half, side, joint] = shift
-            stack.middle[row + half, side, joint] += shift if half else -shift
+            offset[other if half == 0 else one, joint] = (offset[one, joint] + offset[other, joint]) / 2.0
+        centre(
+            stack.middle[row + half, side],
+            stack.half[row + half, side],
+            offset,
+            stack.vertices[row, side],
+            stack.deviation[row, side],
+            tube.points.shape[1],
+        )
 
 
 @inlined
@@ -183,9 +219,12 @@ def _by_windows(stack: Stack, row: int, side: int, tube: Tube) -> bool:
     first, last = stack.window[row, side, 0], stack.window[row, side, 1]
     return bool(
         len(tube.points) > 0
-        and first != _STRIP
+        and first != _SPAN
         and first != last
-        and _widest(stack.deviation[row, side], tube.points.shape[1]) >= SHORTEST
+        and (
+            stack.vertices[row, side] > 2
+            or _widest(stack.deviation[row, side], tube.points.shape[1]) >= SHORTEST
+        )
     )
 
 
@@ -193,12 +232,28 @@ def _by_windows(stack: Stack, row: int, side: int, tube: Tube) -> bool:
 def _by_length(stack: Stack, row: int, side: int, tube: Tube) -> bool:
     joints = tube.points.shape[1]
     shortest = max(SHORTEST, _widest(stack.deviation[row, side], joints))
-    return bool(len(tube.points) > 0 and _widest(stack.direction[row, side], joints) >= shortest)
+    return bool(len(tube.points) > 0 and _longest(stack, row, side, joints)[2] / 2.0 >= shortest)
+
+
+@inlined
+def _longest(stack: Stack, row: int, side: int, joints: int) -> tuple[int, int, float]:
+    """The two vertices of a span that are farthest from one another, in the joint in which any are, and how far."""
+    offset, one, other, most = stack.offset[row, side], 0, 0, 0.0
+    for joint in range(joints):
+        low = high = 0
+        for vertex in range(1, stack.vertices[row, side]):
+            if offset[vertex, joint] < offset[low, joint]:
+                low = vertex
+            if offset[vertex, joint] > offset[high, joint]:
+                high = vertex
+        if offset[high, joint] - offset[low, joint] > most:
+            one, other, most = low, high, offset[high, joint] - offset[low, joint]
+    return one, other, most
 
 
 @inlined
 def _widest(of: Array, joints: int) -> float:
     widest = 0.0
     for joint in range(joints):
-        widest = max(widest, abs(of[joint]))
+        widest = max(widest, of[joint])
     return widest

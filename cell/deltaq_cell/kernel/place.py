@@ -1,4 +1,4 @@
-"""The kernel's kinematics: where a robot's bodies are, and how far they can travel within a strip of joint space.
+"""The kernel's kinematics: where a robot's bodies are, and how far they can travel within a box of joint space.
 
 The same as `deltaq_cell.bodies` and pinocchio say. A body travels at most `sum_j half_j * r_j`
 (`deltaq_cell.proximity`).
@@ -21,10 +21,9 @@ def place(
     bodies: tuple[int, int],
     wanted: Flags,
     middle: Array,
-    direction: Array,
-    deviation: Array,
+    half: Array,
 ) -> float:
-    """Place one robot at the middle of a strip; returns the greatest travel of those of its bodies that are placed [m].
+    """Place one robot at the middle of a box; returns the greatest travel of those of its bodies that are placed [m].
 
     Args:
         cell: what stays.
@@ -32,15 +31,12 @@ def place(
         joints: the robot's first joint, and one more than its last.
         bodies: the same of its bodies.
         wanted: (bodies,) of the cell, which of them are placed.
-        middle: (n,) of the strip, or longer [rad or m].
-        direction: (n,) along which it lies, or longer.
-        deviation: (n,) how far it is wide, or longer.
+        middle: (n,) of the box, or longer [rad or m].
+        half: (n,) its half-widths, or longer.
     """
     first, last = joints
     for joint in range(first, last):
-        placed.half[joint] = abs(direction[joint - first]) + deviation[joint - first]
-        placed.direction[joint] = direction[joint - first]
-        placed.deviation[joint] = deviation[joint - first]
+        placed.half[joint] = half[joint - first]
         _place_joint(cell, placed, joint, middle[joint - first])
     greatest = 0.0
     for body in range(bodies[0], bodies[1]):
@@ -55,6 +51,37 @@ def place(
         placed.travel[body] = travel
         greatest = max(greatest, travel)
     return greatest
+
+
+@makes_no_array
+def spread(
+    cell: Anatomy,
+    placed: Placed,
+    joints: tuple[int, int],
+    bodies: tuple[int, int],
+    offset: Array,
+    vertices: int,
+    deviation: Array,
+) -> None:
+    """Say which span a robot is in, within the box at whose middle it was placed.
+
+    Args:
+        cell: what stays.
+        placed: is written to.
+        joints: the robot's first joint, and one more than its last.
+        bodies: the same of its bodies.
+        offset: (vertices, n) of the span's vertices from the middle, or larger [rad or m].
+        vertices: how many it has.
+        deviation: (n,) how far it is wide, or longer.
+    """
+    if bodies[0] < bodies[1]:
+        placed.vertices[cell.robot[bodies[0]]] = vertices
+    for joint in range(joints[0], joints[1]):
+        placed.along[joint] = 0.0
+        placed.deviation[joint] = deviation[joint - joints[0]]
+        for vertex in range(vertices):
+            placed.offset[vertex, joint] = offset[vertex, joint - joints[0]]
+            placed.along[joint] = max(placed.along[joint], abs(placed.offset[vertex, joint]))
 
 
 @inlined

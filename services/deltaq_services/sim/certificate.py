@@ -146,11 +146,11 @@ class Certifier:
         return Certificate(True, least)
 
     def _place(self, robot: str, piece: Piece) -> float:
-        strip = piece.strip()
-        return self._proximity.place(robot, strip.middle, strip.half, strip.direction)
+        span = piece.span()
+        return self._proximity.place(robot, span.middle, span.half, span.offsets, span.deviation)
 
     def _hopeless(self, look: DistanceQuery) -> bool:
-        """The budget is spent, or bodies are too near even at the middle of the strip, where halving does not help."""
+        """The budget is spent, or bodies are too near even at the middle, where halving does not help."""
         return self._left < 0 or look.too_near
 
     def _measure(self, groups: Sequence[Group]) -> tuple[DistanceQuery, Binding | None]:

@@ -23,6 +23,10 @@ from deltaq_services.sim.tube import Windows
 BUDGET = 600
 """Searches between two bodies in parts of tubes that one certifier may spend; the first look at whole tubes is free."""
 
+SHARE_BUDGET = 300
+"""The same, of all smaller shares of a request together. Half of the budget: what they miss by is a part of one cycle's
+motion, where a request that is refused for want of a search may lose all of it."""
+
 
 class CompiledCertifier(Certifier):
     """Certifies tubes, all within one budget of searches.

@@ -19,7 +19,7 @@ from deltaq_protocol.messages import Outcome, Reason
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.blend import Blend
 from deltaq_services.sim.certificate import NUMERICAL_TOLERANCE_M, Binding, Certificate
-from deltaq_services.sim.compiled_certificate import CompiledCertifier
+from deltaq_services.sim.compiled_certificate import SHARE_BUDGET, CompiledCertifier
 from deltaq_services.sim.contacts import Contacts
 from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.retreat import Retreat
@@ -102,7 +102,7 @@ class Gate:
         elif self._stands_clear(robot, tubes):
             self._violations.only(robot.name, ())
             # all smaller scales share one budget, so that a decision ends in time
-            certifier = CompiledCertifier(self._proximity, tells=False)
+            certifier = CompiledCertifier(self._proximity, SHARE_BUDGET, tells=False)
             scale = certifier.largest(blend, tubes, scale, certificate)
             reasons = [_clearance_reason(certificate)]
         else:

@@ -137,8 +137,8 @@ class Retreat:
         return self._proximity.least(self._proximity.pair(near.group, near.index))
 
     def _place(self, robot: str, piece: Piece) -> None:
-        strip = piece.strip()
-        self._proximity.place(robot, strip.middle, strip.half, strip.direction)
+        span = piece.span()
+        self._proximity.place(robot, span.middle, span.half, span.offsets, span.deviation)
 
     def _leads_out(
         self, robot: Tracker, branch: Branch, others: Sequence[Tracker], violated: Sequence[_Near]

@@ -2,8 +2,8 @@
 
 The drives lag. A robot that was sent the setpoints c_1, c_2, ... is, at the time of c_t, somewhere in the hull
 of the last few of them: stable drives without overshoot that lag alike are at a weighted mean of past setpoints. The
-tube is therefore a sequence of overlapping windows, each the hull of `lag` + 1 consecutive setpoints, held by a strip
-along it. It makes no statement of when the robot is where, so tubes of two robots can be compared as sets.
+tube is therefore a sequence of overlapping windows, each the hull of `lag` + 1 consecutive setpoints, held by a span
+of a few of them. It makes no statement of when the robot is where, so tubes of two robots can be compared as sets.
 """
 
 from __future__ import annotations
@@ -15,11 +15,8 @@ from typing import Protocol
 import numpy as np
 
 from deltaq_cell.kernel.motion import course_points
-from deltaq_cell.kernel.strip import strip_around
+from deltaq_cell.kernel.span import SHORTEST, span_around
 from deltaq_protocol.arrays import Array
-
-_SHORTEST = 1e-7
-"""Strips are not divided below this half-length [rad or m]."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +47,8 @@ class Branch:
 class Piece(Protocol):
     """A part of a tube."""
 
-    def strip(self) -> Strip:
-        """A strip of joint space that holds the piece."""
+    def span(self) -> Span:
+        """A span of joint space that holds the piece."""
         ...
 
     def halves(self) -> tuple[Piece, ...]:
@@ -60,35 +57,55 @@ class Piece(Protocol):
 
 
 @dataclass(frozen=True)
-class Strip:
-    """What lies within `middle + t * direction + e`, |t| <= 1 and |e_j| <= `deviation_j`, each (n,) [rad or m]."""
+class Span:
+    """The hull of a few vertices of joint space, and what lies beside it by no more than it is wide.
+
+    Attributes:
+        middle: (n,) of a box around it [rad or m].
+        half: (n,) half-widths of that box.
+        offsets: (vertices, n) of the vertices from the middle.
+        deviation: (n,) how far it is wide.
+    """
 
     middle: Array
-    direction: Array
+    half: Array
+    offsets: Array
     deviation: Array
 
     @classmethod
-    def around(cls, points: Array) -> Strip:
-        """A strip along the longest way between any of the points, (k, n) [rad or m], that holds their hull."""
-        return cls(*strip_around(points))
+    def around(cls, points: Array) -> Span:
+        """A span that holds the hull of the points of a course, (k, n) [rad or m]."""
+        return cls(*span_around(points))
 
-    def strip(self) -> Strip:
+    def span(self) -> Span:
         """Itself."""
         return self
 
     @property
-    def half(self) -> Array:
-        """(n,) half-widths of the box around it [rad or m]."""
-        return np.abs(self.direction) + self.deviation
+    def is_straight(self) -> bool:
+        """Whether it is a line, as far as any drive resolves."""
+        return len(self.offsets) <= 2 and bool(self.deviation.max() < SHORTEST)
 
     def halves(self) -> tuple[Piece, ...]:
-        """Two strips of half the length, down to one that no drive resolves or that is as wide as it is long."""
-        if np.abs(self.direction).max() < max(_SHORTEST, float(self.deviation.max())):
+        """Two spans, in which the middle between the farthest two vertices takes the place of the one or the other.
+
+        A mean of the vertices to which one of the two contributes more than the other is also one of that half's
+        vertices. There are none if those two are so near that no drive resolves them, or that the span is as wide.
+        """
+        joint = int(np.argmax(np.ptp(self.offsets, axis=0)))
+        ends = int(np.argmin(self.offsets[:, joint])), int(np.argmax(self.offsets[:, joint]))
+        if np.ptp(self.offsets[:, joint]) / 2 < max(SHORTEST, float(self.deviation.max())):
             return ()
-        half = self.direction / 2
-        return replace(self, middle=self.middle - half, direction=half), replace(
-            self, middle=self.middle + half, direction=half
-        )
+        between = self.offsets[list(ends)].mean(axis=0)
+        return self._with(ends[1], between), self._with(ends[0], between)
+
+    def _with(self, vertex: int, offset: Array) -> Span:
+        """The same with another vertex."""
+        offsets = self.offsets.copy()
+        offsets[vertex] = offset
+        shift = (offsets.min(axis=0) + offsets.max(axis=0)) / 2
+        half = np.ptp(offsets, axis=0) / 2 + self.deviation
+        return Span(self.middle + shift, half, offsets - shift, self.deviation)
 
 
 @dataclass(frozen=True)
@@ -105,19 +122,19 @@ class Windows:
     first: int
     last: int
 
-    def strip(self) -> Strip:
-        """A strip around all setpoints of the windows."""
-        return self._strip
+    def span(self) -> Span:
+        """A span around all setpoints of the windows."""
+        return self._span
 
     @cached_property
-    def _strip(self) -> Strip:
+    def _span(self) -> Span:
         first = max(0, min(self.first - self.lag, len(self.points) - 1))
-        return Strip.around(self.points[first : self.last + 1])
+        return Span.around(self.points[first : self.last + 1])
 
     def halves(self) -> tuple[Piece, ...]:
-        """Half of the windows each; of a single window, or of all along one line, the halves of their strip."""
-        if self.first == self.last or self.strip().deviation.max() < _SHORTEST:
-            return self.strip().halves()
+        """Half of the windows each; of a single window, or of all along one line, the halves of their span."""
+        if self.first == self.last or self.span().is_straight:
+            return self.span().halves()
         middle = (self.first + self.last) // 2
         return replace(self, last=middle), replace(self, first=middle + 1)
 
