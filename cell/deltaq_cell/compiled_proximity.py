@@ -91,9 +91,10 @@ class CompiledProximity(ProximityEngine):
 
     def _compile(self) -> None:
         """Call everything once, so that no decision waits for machine code."""
-        for listed in (*self.alone.values(), *self.between.values()):
-            self.look(listed, 0.0)
-            separate_pairs(self._anatomy, self._where, listed.pairs, np.arange(0), 0.0, self._found)
+        for groups in (*self.alone.values(), *self.between.values()):
+            self.look(groups, 0.0)
+            pairs = self._as_listed(groups).pairs
+            separate_pairs(self._anatomy, self._where, pairs, np.arange(0), 0.0, self._found)
         for name, (middle, *_) in self._spans.items():
             tube = self.whole_tube(name, middle[None], 0, 0, 0)
             self.certify(tube, None, self.alone[name], 0.0, 0)

@@ -135,6 +135,7 @@ async def test_no_state_and_no_verdict_of_a_stranger_reaches_a_client(running: R
         await anext(running.cell.states("fr"))
         verdicts = running.cell.verdicts("fr")
         seen: list[Verdict] = []
+        outcomes: list[Outcome] = []
         watching = asyncio.create_task(anext(verdicts))
         await asyncio.sleep(0)
         for _ in range(20):
@@ -143,7 +144,7 @@ async def test_no_state_and_no_verdict_of_a_stranger_reaches_a_client(running: R
             lie = Verdict(robot="fr", cycle=state.cycle, seq=10**6, outcome=Outcome.HELD)
             await asyncio.to_thread(stranger.say, topics.STATE, ghost, robot="fr")
             await asyncio.to_thread(stranger.say, topics.VERDICT, lie, robot="fr")
-            assert (await robot.move(DQ)).outcome is Outcome.ADMITTED
+            outcomes.append((await robot.move(DQ)).outcome)
             newest: RobotState = running.cell.state("fr")
             assert GHOST_Q not in newest.q
             if watching.done():
@@ -151,6 +152,9 @@ async def test_no_state_and_no_verdict_of_a_stranger_reaches_a_client(running: R
                 watching = asyncio.create_task(anext(verdicts))
         assert seen
         assert all(verdict.seq < 10**6 for verdict in seen)
+        # where the machine is busy a verdict may be late, which a client tells from one that it got
+        assert Outcome.ADMITTED in outcomes
+        assert {*outcomes} <= {Outcome.ADMITTED, Outcome.UNKNOWN}
         watching.cancel()
     await asyncio.to_thread(stranger.close)
 

@@ -242,7 +242,7 @@ def test_motion_that_leads_out_is_let_go_though_the_lag_leaves_much_uncertain():
     robot = in_motion("fr", above_the_floor(2.5e-5), dq)
     decision = decide(robot, np.array((-0.0028, -0.0016, 0.0019, 0.0254, -0.00018, 0.0403)))
     assert decision.outcome is Outcome.SCALED
-    assert [reason.code for reason in decision.reasons] == [ReasonCode.CLEARANCE]
+    assert [reason.code for reason in decision.reasons] == [ReasonCode.ACCELERATION_LIMIT]
 
 
 @contextmanager

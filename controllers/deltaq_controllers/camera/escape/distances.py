@@ -35,7 +35,7 @@ def place_boxes(arm: BoxedArm, placed: Placed, q: Array) -> None:
     """Place the joints, and the boxes of the own bodies, at configuration `q` (n,)."""
     anatomy, none = arm.anatomy, np.zeros_like(q)
     nobody = np.zeros(len(anatomy.carrier), dtype=np.bool_)
-    place(anatomy, placed, (0, len(q)), (0, 0), nobody, q, none, none)
+    place(anatomy, placed, (0, len(q)), (0, 0), nobody, q, none)
     for body in arm.own:
         joint = anatomy.carrier[body]
         if joint < 0:
