@@ -28,7 +28,7 @@ def teleoperator_for(
     weights: Mapping[str, float] | None = None,
     jerk_time_s: float = 0.0,
     trade_off: tuple[str, str] | None = None,
-    hands_may_leave: bool = False,
+    hands_may_leave: bool | None = False,
 ) -> Teleoperator:
     """A teleoperator as `deltaq drive` uses it; no mode but the first is made yet.
 
@@ -41,7 +41,8 @@ def teleoperator_for(
         weights: of the criteria of `coupled` and `advisor`; their own if not given.
         jerk_time_s: time in which a joint's acceleration builds up to its limit; 0 sets no limit to the jerk [s].
         trade_off: names of two criteria on whose front the advisor's options are; None: they are minima.
-        hands_may_leave: whether hands may leave their place on the way to an option of the advisor, and come back.
+        hands_may_leave: whether hands may leave their place on the way to an option of the advisor, and come back;
+            None: where nothing can be advised otherwise, for want of a joint to spare.
 
     Raises:
         ControllerError: the robot is unknown, or cannot be driven in that mode.
@@ -54,10 +55,11 @@ def teleoperator_for(
 
     def advisor_mode(robot: RobotModel) -> AdvisorMode:
         others = where_others_are(running, robot.name)
-        tracker = tracker_of(robot, hands_may_leave)
-        advisor = AdvisorProcess(description, tracker, others, weights, hands_may_leave)
+        tracker = tracker_of(robot, hands_may_leave in (True, None))
+        advisor = AdvisorProcess(description, tracker, others, weights)
         mode = AdvisorMode(robot, description.cycle_s, stack.enter_context(advisor))
         mode.trade_off = trade_off
+        mode.hands_may_leave = not len(tracker.base) if hands_may_leave is None else hands_may_leave
         return mode
 
     modes = {**MODES, ModeName.ADVISOR: advisor_mode}

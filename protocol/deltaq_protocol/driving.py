@@ -114,12 +114,14 @@ class Advise(Message):
     """In mode `advisor`: look for options from where the robot rests now, or end the search and forget the choice.
 
     With `trade_off`, the names of two criteria, options are points of their front in place of minima of the energy.
+    With `hands_may_leave` hands may leave their place on the way to an option, and come back.
     """
 
     type: Literal["advise"] = "advise"
     id: RequestId
     action: Literal["ask", "cancel"]
     trade_off: TradeOff | None = None
+    hands_may_leave: bool = False
 
 
 class Reach(Message):
@@ -162,6 +164,7 @@ class Search(Message):
     `done` is the fraction of the step `doing` that is done. `way` is the rank of the way that was begun, `driven` the
     fraction of its duration that has been driven; `arrived` says that the robot stands at its end. `trade_off`
     names the two criteria whose Pareto front the options form; None: the options are minima of the energy.
+    `hands_may_leave` says that hands may leave their place on the way to an option, and come back.
     """
 
     doing: str = ""
@@ -172,6 +175,7 @@ class Search(Message):
     driven: Fraction = 0.0
     arrived: bool = False
     trade_off: TradeOff | None = None
+    hands_may_leave: bool = False
 
 
 class HandsOff(Message):

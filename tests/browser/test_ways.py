@@ -105,13 +105,22 @@ def test_an_option_is_shown_gone_to_while_held_left_and_cancelled(opened):
     page.get_by_role("button", name="Look again").click()
     page.wait_for_function(f"{SEARCH}.trade_off && !{SEARCH}.is_busy")
     page.wait_for_function(
-        "document.querySelector('.advisor .doing').textContent.includes('none is joint travel better')"
+        "document.querySelector('.advisor .doing').textContent.includes('Pareto front of “joint travel”')"
     )
     scores = page.evaluate(
         "deltaq.ways.of('gr', 'advisor').map(({costs}) => [costs.travel, costs.compliance])"
     )
     assert len(scores) > 1
     assert scores == sorted(scores)
+
+    # hands that may leave their pose are offered what they could not keep it on the way to
+    leaves = page.get_by_label("Hands may leave their pose on the way, and return")
+    assert not leaves.is_checked()
+    leaves.check()
+    page.get_by_role("button", name="Look again").click()
+    page.wait_for_function(f"{SEARCH}.hands_may_leave && !{SEARCH}.is_busy")
+    assert leaves.is_checked()
+    assert page.evaluate("deltaq.ways.of('gr', 'advisor').some(({hands_leave}) => hands_leave)")
     give_back(page)
 
 

@@ -26,11 +26,14 @@ def advised(
     mode: ModeName = ModeName.ADVISOR,
     weights: dict[str, float] | None = None,
     advisor: Advisor | None = None,
+    hands_may_leave: bool = False,
 ) -> Teleoperator:
     def advisor_mode(robot: RobotModel) -> AdvisorMode:
-        tracker_of(robot)
+        tracker_of(robot, hands_may_leave)
         answers = advisor or SynchronousAdvisor(cell_of(robot.name), robot.name, options=3, effort=0.5)
-        return AdvisorMode(robot, CYCLE_S, answers)
+        made = AdvisorMode(robot, CYCLE_S, answers)
+        made.hands_may_leave = hands_may_leave
+        return made
 
     modes = {**MODES, ModeName.ADVISOR: advisor_mode}
     if weights is not None:

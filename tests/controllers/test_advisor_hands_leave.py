@@ -33,8 +33,8 @@ def off_m(run: PlainDrive) -> float:
 @pytest.mark.long
 def test_from_a_way_on_which_the_hand_left_its_place_another_option_has_it_in_place_again() -> None:
     run = PlainDrive("gr", ModeName.JOINT)
-    advisor = SynchronousAdvisor(cell_of("gr"), "gr", options=12, effort=0.3, hands_may_leave=True)
-    run.teleoperator = advised(run.robot, advisor=advisor)
+    advisor = SynchronousAdvisor(cell_of("gr"), "gr", options=12, effort=0.3)
+    run.teleoperator = advised(run.robot, advisor=advisor, hands_may_leave=True)
     run.drive(0.3)
     options = advisor_of(run.teleoperator).options
     ranks = [rank for rank, option in enumerate(options, start=1) if option.path is not None]
@@ -54,7 +54,7 @@ def test_from_a_way_on_which_the_hand_left_its_place_another_option_has_it_in_pl
 @pytest.mark.long
 def test_the_way_from_where_a_hand_has_left_its_place_begins_there_and_need_not_lead_back() -> None:
     cell = cell_of("gr")
-    session = AdvisorSession(cell, "gr", options=12, effort=0.3, hands_may_leave=True)
+    session = AdvisorSession(cell, "gr", options=12, effort=0.3)
     home = cell.robots["gr"].home
     others = {name: robot.home for name, robot in cell.robots.items() if name != "gr"}
     found: list[tuple[Option, ...]] = []
@@ -63,7 +63,7 @@ def test_the_way_from_where_a_hand_has_left_its_place_begins_there_and_need_not_
         found.append(progress.options)
         return True
 
-    session.ask(home, others, note)
+    session.ask(home, others, note, hands_may_leave=True)
     asked = found[-1]
     leaving = next(option for option in asked if option.path is not None and option.hands_leave)
     keeping = next(

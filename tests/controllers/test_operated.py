@@ -6,6 +6,7 @@ import pytest
 from advising import advised
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.advisor.problem import AdvisorError
 from deltaq_controllers.camera.in_use import CameraInUse
 from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.modes.motion import ModeName
@@ -330,6 +331,19 @@ def test_options_of_a_trade_off_are_a_front_of_its_criteria_until_it_is_asked_fo
     bench.pilot.advise(again=True)
     bench.cycles(5)
     assert bench.pilot.report(DriverStage.LEASED).search.trade_off is None
+
+
+@pytest.mark.long
+def test_an_arm_without_a_joint_to_spare_is_advised_on_as_long_as_its_hand_may_leave_its_pose():
+    bench = Bench(teleoperator=advised(CellModel.load("lab").robots["fr"], hands_may_leave=True))
+    bench.pilot.change_mode(DrivingMode.ADVISOR, "world")
+    bench.cycles(5)
+    assert bench.pilot.report(DriverStage.LEASED).search.hands_may_leave
+    assert any(way.hands_leave for way in bench.pilot.ways().ways)
+    bench.pilot.advise(again=True)
+    with pytest.raises(AdvisorError, match=r"'fr' is not redundant.*unless the hand may leave"):
+        bench.cycles(5)
+    assert not bench.pilot.report(DriverStage.LEASED).search.hands_may_leave
 
 
 @pytest.mark.long

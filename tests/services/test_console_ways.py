@@ -68,6 +68,9 @@ def test_the_advisor_is_asked_again_and_cancelled(bench, desk):
         assert bench.driver_requests()[-1].action == action
     assert desk.send("advise", robot="fr", action="ask", trade_off=("travel", "torque")).outcome is ASKED
     assert bench.driver_requests()[-1].trade_off == ("travel", "torque")
+    assert not bench.driver_requests()[-1].hands_may_leave
+    assert desk.send("advise", robot="fr", action="ask", hands_may_leave=True).outcome is ASKED
+    assert bench.driver_requests()[-1].hands_may_leave
 
 
 def test_ways_are_told_to_all_who_look_on_and_to_who_comes_later(bench, desk):

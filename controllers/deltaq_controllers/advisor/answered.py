@@ -29,7 +29,9 @@ class Answered:
     def prepare(self) -> None:
         """Nothing to prepare."""
 
-    def ask(self, _q: Array, _trade_off: tuple[str, str] | None = None) -> None:
+    def ask(
+        self, _q: Array, _trade_off: tuple[str, str] | None = None, _hands_may_leave: bool = False
+    ) -> None:
         """The answer is known already."""
 
     def seek(self, _back: Array, _rank: int) -> None:

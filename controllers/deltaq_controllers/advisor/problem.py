@@ -91,11 +91,7 @@ class AdvisorProblem:
         standing = {name: model.home for name, model in cell.robots.items()} | dict(others or {})
         self.data = RobotData(cell, robot, kinematics=self.tracker.kinematics, others=standing)
         self.hands_may_leave = hands_may_leave
-        if not len(self.tracker.base) and not hands_may_leave:
-            raise AdvisorError(
-                f"robot '{robot}' is not redundant: with its hand in place there is nothing to advise on, "
-                "unless the hand may leave and come back"
-            )
+        self._check_redundant()
         self.poses = _checked(T_world_hands, len(self.robot.hands))
         if weights is None:
             weights = {
@@ -106,12 +102,27 @@ class AdvisorProblem:
         self.lower, self.upper = self.robot.lower[self.tracker.base], self.robot.upper[self.tracker.base]
         self.count = 0
 
-    def at(self, T_world_hands: Array, others: Mapping[str, Array] | None = None) -> AdvisorProblem:
-        """This task with other poses of the hands (h, 4, 4) and of other robots (n,), and no trials yet."""
+    def at(
+        self, T_world_hands: Array, others: Mapping[str, Array] | None = None, hands_may_leave: bool = False
+    ) -> AdvisorProblem:
+        """This task with other poses of the hands (h, 4, 4) and of other robots (n,), and no trials yet.
+
+        Raises:
+            AdvisorError: the poses are not valid, or the robot has no free joint and its hand may not leave.
+        """
         self.data.bodies.place(others or {})
         other = copy(self)
         other.poses, other.count = _checked(T_world_hands, len(self.robot.hands)), 0
+        other.hands_may_leave = hands_may_leave
+        other._check_redundant()
         return other
+
+    def _check_redundant(self) -> None:
+        if not self.free and not self.hands_may_leave:
+            raise AdvisorError(
+                f"robot '{self.robot.name}' is not redundant: with its hand in place there is nothing to advise on, "
+                "unless the hand may leave and come back"
+            )
 
     def weighed(self, weights: Mapping[str, float]) -> AdvisorProblem:
         """This task with other criteria.

@@ -30,6 +30,7 @@ class _Ask:
     q: Array
     others: Mapping[str, Array]
     trade_off: tuple[str, str] | None
+    hands_may_leave: bool
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,6 @@ class AdvisorProcess:
         tracker: of the robot.
         others: returns where the other robots of the cell are now.
         weights: of the criteria; the advisor's own if not given.
-        hands_may_leave: whether the hands may leave their place on the way to an option, and come back.
 
     Attributes:
         tracker: as given.
@@ -79,7 +79,6 @@ class AdvisorProcess:
         tracker: ConstraintTracker,
         others: Callable[[], Mapping[str, Array]],
         weights: Mapping[str, float] | None = None,
-        hands_may_leave: bool = False,
     ) -> None:
         self.tracker = tracker
         self._others = others
@@ -88,9 +87,7 @@ class AdvisorProcess:
         context = multiprocessing.get_context("spawn")
         self._line, theirs = context.Pipe()
         self._process = context.Process(
-            target=_serve,
-            args=(theirs, description, tracker.robot.name, weights, hands_may_leave),
-            daemon=True,
+            target=_serve, args=(theirs, description, tracker.robot.name, weights), daemon=True
         )
         self._process.start()
         theirs.close()
@@ -101,10 +98,10 @@ class AdvisorProcess:
             self._line.poll(None)
             self._listen()
 
-    def ask(self, q: Array, trade_off: tuple[str, str] | None = None) -> None:
-        """Begin to look for options that keep the hands where they are at `q` (n,), or for those of a trade-off."""
+    def ask(self, q: Array, trade_off: tuple[str, str] | None = None, hands_may_leave: bool = False) -> None:
+        """Begin to look for options; see `AdvisorSession.ask`."""
         self._newest = _Answer(self._newest.number + 1)
-        self._send(_Ask(self._newest.number, q, self._others(), trade_off))
+        self._send(_Ask(self._newest.number, q, self._others(), trade_off, hands_may_leave))
 
     def seek(self, back: Array, rank: int) -> None:
         """Begin to search for a path to the option of a rank, if need be by `back` (P, n); see `Counsel.seek`."""
@@ -169,11 +166,10 @@ def _serve(
     description: Description,
     robot: str,
     weights: Mapping[str, float] | None,
-    hands_may_leave: bool,
 ) -> None:
     """Answer questions until the pipe is closed; a new one ends the one before."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the loop, which ends this process
-    counsel, trouble = _counsel(description, robot, weights, hands_may_leave)
+    counsel, trouble = _counsel(description, robot, weights)
     try:
         line.send(_Answer(_READY, is_over=True))
         while True:
@@ -194,11 +190,11 @@ def _serve(
 
 
 def _counsel(
-    description: Description, robot: str, weights: Mapping[str, float] | None, hands_may_leave: bool
+    description: Description, robot: str, weights: Mapping[str, float] | None
 ) -> tuple[AdvisorSession | None, str]:
     """The advisor, made before the first question, which then need not wait for it; or why it cannot be made."""
     try:
-        return AdvisorSession(cell_model(description), robot, weights, hands_may_leave=hands_may_leave), ""
+        return AdvisorSession(cell_model(description), robot, weights), ""
     except DeltaqError as error:
         return None, str(error)
 
@@ -215,7 +211,7 @@ def _answer(line: Connection, counsel: AdvisorSession, question: _Ask | _Seek) -
         return True
 
     if isinstance(question, _Ask):
-        counsel.ask(question.q, question.others, go_on, question.trade_off)
+        counsel.ask(question.q, question.others, go_on, question.trade_off, question.hands_may_leave)
     else:
         counsel.seek(question.back, question.rank, question.others, go_on)
     line.send(_Answer(question.number, last, is_over=True))

@@ -29,13 +29,12 @@ class AdvisorSession:
         options: how many at most.
         effort: of the search.
         seed: of the search.
-        hands_may_leave: whether the hands may leave their place on the way to an option, and come back.
 
     Attributes:
         tracker: of the robot.
 
     Raises:
-        AdvisorError: the robot is unknown or not redundant.
+        AdvisorError: the robot is unknown.
         TrackingError: its arms have no inverse.
         CriterionError: an unknown criterion.
     """
@@ -49,7 +48,6 @@ class AdvisorSession:
         options: int = 5,
         effort: float = 1.0,
         seed: int = 0,
-        hands_may_leave: bool = False,
     ) -> None:
         self.tracker = ConstraintTracker(cell.robots[robot])
         self._problem = AdvisorProblem(
@@ -58,7 +56,7 @@ class AdvisorSession:
             self.tracker.hands(cell.robots[robot].home),
             weights,
             self.tracker,
-            hands_may_leave=hands_may_leave,
+            hands_may_leave=True,
         )
         self._exact = ExactClearance(cell, robot)
         self._count, self._effort = options, effort
@@ -72,6 +70,7 @@ class AdvisorSession:
         others: Mapping[str, Array],
         go_on: GoOn,
         trade_off: tuple[str, str] | None = None,
+        hands_may_leave: bool = False,
     ) -> None:
         """Look for options that keep the hands at their present poses.
 
@@ -81,11 +80,13 @@ class AdvisorSession:
             go_on: called with every step, and with the options as they become known; returns whether anybody still
                 waits.
             trade_off: names of two criteria whose front is wanted in place of minima.
+            hands_may_leave: whether the hands may leave their place on the way to an option, and come back.
 
         Raises:
             CriterionError: an unknown criterion.
+            AdvisorError: the robot is not redundant, and its hand may not leave its place.
         """
-        self._problem = self._problem.at(self.tracker.hands(q), others)
+        self._problem = self._problem.at(self.tracker.hands(q), others, hands_may_leave)
         self._exact.place(others)
 
         def noted(progress: Progress) -> bool:

@@ -19,7 +19,6 @@ class SynchronousAdvisor:
         weights: of the criteria; the advisor's own if not given.
         options: how many at most.
         effort: of the search.
-        hands_may_leave: whether the hands may leave their place on the way to an option, and come back.
 
     Attributes:
         tracker: of the robot.
@@ -36,20 +35,17 @@ class SynchronousAdvisor:
         weights: Mapping[str, float] | None = None,
         options: int = 5,
         effort: float = 1.0,
-        hands_may_leave: bool = False,
     ) -> None:
-        self._counsel = AdvisorSession(
-            cell, robot, weights, options=options, effort=effort, hands_may_leave=hands_may_leave
-        )
+        self._counsel = AdvisorSession(cell, robot, weights, options=options, effort=effort)
         self.tracker = self._counsel.tracker
         self.progress: Progress | None = None
 
     def prepare(self) -> None:
         """Nothing to prepare: the model of the cell is loaded."""
 
-    def ask(self, q: Array, trade_off: tuple[str, str] | None = None) -> None:
-        """Look for options that keep the hands where they are at `q` (n,), or for those of a trade-off."""
-        self._counsel.ask(q, {}, self._take, trade_off)
+    def ask(self, q: Array, trade_off: tuple[str, str] | None = None, hands_may_leave: bool = False) -> None:
+        """Look for options; see `AdvisorSession.ask`."""
+        self._counsel.ask(q, {}, self._take, trade_off, hands_may_leave)
 
     def seek(self, back: Array, rank: int) -> None:
         """Search for a path to the option of a rank; see `Counsel.seek`."""

@@ -80,7 +80,9 @@ class Advisor(Protocol):
         """What is known by now; None before anything is."""
         ...
 
-    def ask(self, q: Array, trade_off: tuple[str, str] | None = None, /) -> None:
+    def ask(
+        self, q: Array, trade_off: tuple[str, str] | None = None, hands_may_leave: bool = False, /
+    ) -> None:
         """Begin to look for options that keep the hands where they are at `q` (n,), or for those of a trade-off."""
         ...
 
@@ -106,6 +108,7 @@ class AdvisorMode(SteppedMode):
 
     Attributes:
         trade_off: names of the two criteria whose front is asked for; None: minima of the energy.
+        hands_may_leave: whether the hands may leave their place on the way to an option, and come back.
     """
 
     name = ModeName.ADVISOR
@@ -124,6 +127,7 @@ class AdvisorMode(SteppedMode):
         self._q: Array = np.full(robot.n, np.nan)
         self._hindrance = ""
         self.trade_off: tuple[str, str] | None = None
+        self.hands_may_leave = False
 
     @property
     def options(self) -> tuple[Option, ...]:
@@ -200,7 +204,7 @@ class AdvisorMode(SteppedMode):
         super().enter(q)
         self._driven, self._route, self._hindrance = None, None, ""
         self._trail = q[None].copy()
-        self._advisor.ask(q, self.trade_off)
+        self._advisor.ask(q, self.trade_off, self.hands_may_leave)
 
     def forget(self) -> None:
         """At rest: end the search and forget the choice; the results so far are kept."""

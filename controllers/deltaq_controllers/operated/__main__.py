@@ -82,7 +82,7 @@ async def drive_by_lines(
         ControllerError: the cell has no such robot.
     """
     with ExitStack() as stack:
-        teleoperator = teleoperator_for(cell, robot, stack)
+        teleoperator = teleoperator_for(cell, robot, stack, hands_may_leave=None)
         is_to_compile = teleoperator.robot.description.camera is not None and not _is_camera_compiled()
         compiling = asyncio.ensure_future(_compiled_camera() if is_to_compile else asyncio.sleep(0))
         pilot = Pilot(

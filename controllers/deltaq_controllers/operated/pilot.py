@@ -108,12 +108,15 @@ class Pilot:
         self._mode, self.wishes.grip, self._reach = mode, wanted, None
         self._teleoperator.frame = Frame(frame)
 
-    def advise(self, *, again: bool, trade_off: tuple[str, str] | None = None) -> None:
+    def advise(
+        self, *, again: bool, trade_off: tuple[str, str] | None = None, hands_may_leave: bool = False
+    ) -> None:
         """Have options looked for from where the robot comes to rest, or end the search and forget the choice.
 
         Args:
             again: look for options.
             trade_off: names of two criteria whose front is wanted in place of minima.
+            hands_may_leave: whether the hands may leave their place on the way to an option, and come back.
 
         Raises:
             ControllerError: the advisor does not drive, or these are not two criteria.
@@ -125,7 +128,7 @@ class Pilot:
         self.rest()
 
         def ask(q: Array) -> None:
-            advisor.trade_off = trade_off
+            advisor.trade_off, advisor.hands_may_leave = trade_off, hands_may_leave
             advisor.enter(q)
 
         self._when_still = ask if again else lambda _q: advisor.forget()

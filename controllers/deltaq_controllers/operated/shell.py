@@ -117,7 +117,11 @@ class OperatedRobot:
                 case ChooseMaster():
                     await asyncio.to_thread(self._pilot.wishes.choose_master, request.master, request.scale)
                 case Advise():
-                    self._pilot.advise(again=request.action == "ask", trade_off=request.trade_off)
+                    self._pilot.advise(
+                        again=request.action == "ask",
+                        trade_off=request.trade_off,
+                        hands_may_leave=request.hands_may_leave,
+                    )
                 case Reach():
                     await self._reach(request)
                 case Switch():

@@ -54,6 +54,7 @@ def search_of(mode: AdvisorMode) -> Search:
         driven=round(mode.driven, 3),
         arrived=mode.is_at_end,
         trade_off=mode.trade_off,
+        hands_may_leave=mode.hands_may_leave,
     )
 
 

@@ -160,13 +160,15 @@ class SetOutput(ConsoleCommand):
 class AskAdvisor(ConsoleCommand):
     """In mode `advisor`: look for options from where the robot rests, or end the search and forget the choice.
 
-    With `trade_off` they are points of the front of two criteria.
+    With `trade_off` they are points of the front of two criteria. With `hands_may_leave` hands may leave their place on
+    the way to an option, and come back.
     """
 
     type: Literal["advise"]
     robot: Name
     action: Literal["ask", "cancel"]
     trade_off: TradeOff | None = None
+    hands_may_leave: bool = False
 
 
 class DragPose(ConsoleCommand):

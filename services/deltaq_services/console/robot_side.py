@@ -151,7 +151,12 @@ class RobotSide:
                 )
             return driving.ChooseMaster(id=request, master=command.master, scale=command.scale)
         if isinstance(command, AskAdvisor):
-            return driving.Advise(id=request, action=command.action, trade_off=command.trade_off)
+            return driving.Advise(
+                id=request,
+                action=command.action,
+                trade_off=command.trade_off,
+                hands_may_leave=command.hands_may_leave,
+            )
         if isinstance(command, DragPose):
             return driving.Reach(
                 id=request,

@@ -64,12 +64,15 @@ export function advisorCards({ live, driven, wish, ways, picture, thumbnails, vi
   const doing = el("p", { class: "doing", role: "status" });
   const bar_ = el("progress", { max: 1 });
   const tradeOff = tradeOffChoice();
-  const again = el("button", { onclick: () => ask("advise", { action: "ask", trade_off: tradeOff.value() }) }, "Look again");
+  const leave = el("input", { type: "checkbox", onchange: () => (leaves = leave.checked) });
+  const mayLeave = el("label", { class: "may-leave" }, leave, "Hands may leave their pose on the way, and return");
+  const again = el("button", { onclick: () => ask("advise", { action: "ask", trade_off: tradeOff.value(), hands_may_leave: leave.checked }) }, "Look again");
   const cancel = el("button", { onclick: cancelled }, "Cancel");
   const list = el("ol", { class: "cards" });
-  const box = el("section", { class: "advisor" }, el("h2", {}, "Options"), doing, bar_, tradeOff.box, el("div", { class: "row" }, again, cancel), list);
+  const box = el("section", { class: "advisor" }, el("h2", {}, "Options"), doing, bar_, tradeOff.box, mayLeave, el("div", { class: "row" }, again, cancel), list);
   let drawn = "";
   let kept = new Map(); // rank -> what changes on its card
+  let leaves = null; // what the operator chose and has not asked for yet; null: nothing
 
   function cancelled() {
     wish.releaseAll();
@@ -126,7 +129,9 @@ export function advisorCards({ live, driven, wish, ways, picture, thumbnails, vi
     say(doing, search?.is_busy ? `${search.doing || "searching"}, ${search.trials} configuration${search.trials === 1 ? "" : "s"} tried` : robot.driving + front);
     bar_.hidden = !search?.is_busy;
     bar_.value = search?.done ?? 0;
-    again.disabled = cancel.disabled = !!cannot || !lease.mine;
+    if (leaves === !!search?.hands_may_leave) leaves = null;
+    leave.checked = leaves ?? !!search?.hands_may_leave;
+    again.disabled = cancel.disabled = leave.disabled = !!cannot || !lease.mine;
     for (const [rank, { go, progress, has }] of kept) {
       const isOn = search?.way === rank;
       if (!wish.isActive) delete go.dataset.held;
