@@ -106,7 +106,7 @@ class Decisions:
         course_points(tube.points, tube.points[:0], still, 1, 0)
         against = self.against(robot, [])
         self.certify(robot, lay_course(course, 0.0), against, 0.0, 0, tells=False)
-        self.largest_share(course, 0.0, against, (None, self._every[:0]), 0.0, 0, 0, 1)
+        self.largest_share(course, 0.0, against, (None, self._every[:0]), 0.0, 0, 0, 0, 1)
 
     def course(
         self,
@@ -206,6 +206,7 @@ class Decisions:
         suspects: tuple[str | None, Integers],
         room_m: float,
         budget: int,
+        trial_budget: int,
         halvings: int,
         rounds: int,
     ) -> tuple[float, int]:
@@ -218,6 +219,7 @@ class Decisions:
             suspects: where that failed: the other robot, if there is one, and numbers of the pairs.
             room_m: what is asked for beyond each stop distance, which is positive with it [m].
             budget: how many pairs may be searched in parts of the tubes, for all shares together.
+            trial_budget: of these, what one trial of suspects may spend on one other tube.
             halvings: how finely a share is searched.
             rounds: searches that end with a certificate.
         """
@@ -239,6 +241,7 @@ class Decisions:
             self._every,
             room_m,
             budget,
+            trial_budget,
             halvings,
             rounds,
             self._suspected,

@@ -122,6 +122,7 @@ def largest_share(
     every: Integers,
     room_m: float,
     budget: int,
+    trial_budget: int,
     halvings: int,
     rounds: int,
     suspected: Suspected,
@@ -141,6 +142,7 @@ def largest_share(
         every: (pairs,) their indices.
         room_m: what is asked for [m].
         budget: of searches in parts of tubes, for all together.
+        trial_budget: of these, what one trial of suspects may spend on one other tube.
         halvings: how finely a share is searched.
         rounds: searches that end with a certificate.
         suspected: has the pairs at which the certificate of `refused` failed; is written to.
@@ -155,7 +157,19 @@ def largest_share(
     for sets in range(1, rounds + 1):
         # the least first: where a robot stands right before an obstacle it is refused, and nearly always all others
         kept, budget = _keep(
-            cell, placed, course, least, against, pairs, room_m, budget, sets, suspected, stack, found
+            cell,
+            placed,
+            course,
+            least,
+            against,
+            pairs,
+            room_m,
+            budget,
+            trial_budget,
+            sets,
+            suspected,
+            stack,
+            found,
         )
         if not kept:
             return 0.0, budget
@@ -171,6 +185,7 @@ def largest_share(
                 pairs,
                 room_m,
                 budget,
+                trial_budget,
                 sets,
                 suspected,
                 stack,
@@ -206,6 +221,7 @@ def _keep(
     pairs: Pairs,
     room_m: float,
     budget: int,
+    trial_budget: int,
     sets: int,
     suspected: Suspected,
     stack: Stack,
@@ -219,8 +235,9 @@ def _keep(
             if against.tubes[number, 11] != suspected.robot[one]:
                 continue
             theirs = _tube(against, number)
-            verdict = certify(cell, placed, mine, theirs, pairs, asked, room_m, budget, False, stack, found)
-            budget = verdict.left
+            given = min(budget, trial_budget)
+            verdict = certify(cell, placed, mine, theirs, pairs, asked, room_m, given, False, stack, found)
+            budget -= given - verdict.left
             if not verdict.holds:
                 return False, budget
     return True, budget

@@ -23,9 +23,13 @@ from deltaq_services.sim.tube import Windows
 BUDGET = 600
 """Searches between two bodies in parts of tubes that one certifier may spend; the first look at whole tubes is free."""
 
-SHARE_BUDGET = 300
-"""The same, of all smaller shares of a request together. Half of the budget: what they miss by is a part of one cycle's
-motion, where a request that is refused for want of a search may lose all of it."""
+SHARE_BUDGET = 400
+"""The same, of all smaller shares of a request together. What they miss by is a part of one cycle's motion, where a
+request that is refused for want of a search may lose all of it."""
+
+TRIAL_BUDGET = 40
+"""Of this, what one trial of suspects may spend on one other tube: one that does not hold would spend all that is left,
+and leave nothing for smaller shares."""
 
 
 class CompiledCertifier(Certifier):
@@ -42,6 +46,7 @@ class CompiledCertifier(Certifier):
         self._kernel = proximity
         self._decisions = proximity.decisions
         self._tells = tells
+        self._at_most = budget
 
     def certify(self, robot: str, tube: Windows, others: Sequence[tuple[str, Windows]]) -> Certificate:
         """Certify one robot's tube against the structure, itself and the tubes of others, in one call."""
@@ -88,10 +93,24 @@ class CompiledCertifier(Certifier):
             (first.failing.other, first.failing.groups.numbers),
             NUMERICAL_TOLERANCE_M,
             self._left,
+            TRIAL_BUDGET,
             HALVINGS,
             ROUNDS,
         )
         return share
+
+    def judge(
+        self,
+        robot: str,
+        tube: Windows,
+        others: Sequence[tuple[str, Windows]],
+        suspects: Sequence[Suspects],
+    ) -> bool:
+        """Whether suspects are shown to keep apart, each by no more than a trial's searches in two tubes."""
+        before, self._at_most = self._at_most, TRIAL_BUDGET
+        holds = super().judge(robot, tube, others, suspects)
+        self._at_most = before
+        return holds
 
     def alone(self, robot: str, tube: Windows, groups: Sequence[Group]) -> Certificate:
         """Certify groups of one robot against the structure or itself."""
@@ -116,10 +135,11 @@ class CompiledCertifier(Certifier):
     def _certify(
         self, mine: Tube, other: str | None, theirs: Tube | None, groups: Sequence[Group]
     ) -> Certificate:
+        given = min(self._left, self._at_most)
         division: Division = self._kernel.certify(
-            mine, theirs, groups, NUMERICAL_TOLERANCE_M, self._left, self._tells
+            mine, theirs, groups, NUMERICAL_TOLERANCE_M, given, self._tells
         )
-        self._left = division.left
+        self._left -= given - division.left
         nearest, stop_distance_m = division.tightest, division.stop_distance_m
         binding = None if nearest is None else Binding(nearest, stop_distance_m)
         return Certificate(
