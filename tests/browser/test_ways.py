@@ -117,10 +117,11 @@ def test_an_option_is_shown_gone_to_while_held_left_and_cancelled(opened):
     leaves = page.get_by_label("Hands may leave their pose on the way, and return")
     assert not leaves.is_checked()
     leaves.check()
+    page.get_by_label("Trade off").select_option("")
     page.get_by_role("button", name="Look again").click()
     page.wait_for_function(f"{SEARCH}.hands_may_leave && !{SEARCH}.is_busy")
     assert leaves.is_checked()
-    assert page.evaluate("deltaq.ways.of('gr', 'advisor').some(({hands_leave}) => hands_leave)")
+    page.wait_for_function("deltaq.ways.of('gr', 'advisor').some(({hands_leave}) => hands_leave)")
     give_back(page)
 
 
