@@ -140,7 +140,7 @@ class Thinking:
         self.tracker = ConstraintTracker(model("gr"))
         self.given_up = False
 
-    def ask(self, q: Array, trade_off: tuple[str, str] | None = None) -> None:
+    def ask(self, q: Array, trade_off: tuple[str, str] | None = None, hands_may_leave: bool = False) -> None:
         self.given_up = False
 
     def seek(self, back: Array, rank: int) -> None:
