@@ -100,7 +100,8 @@ def test_division_ends_at_what_no_drive_resolves_and_where_a_span_is_as_wide_as_
         return Span(np.zeros(2), np.full(2, half + deviation), offsets, np.full(2, deviation))
 
     assert line(1e-8, 0.0).halves() == ()
-    assert line(1e-3, 2e-3).halves() == ()
+    assert line(1e-3, 1.1e-3).halves() == ()
+    assert len(line(1e-3, 0.9e-3).halves()) == 2
     assert len(line(1e-3, 0.0).halves()) == 2
     assert Span.around(np.ones((3, 2))).halves() == ()
 
