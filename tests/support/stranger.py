@@ -82,9 +82,9 @@ class Stranger:
         return self._publishers[key]
 
     def repeat(self, recording):
-        """Say again what services have said."""
+        """Say again what services have said; nothing of it is dropped on the way."""
         for key, sealed in recording:
-            self._session.put(key, sealed)
+            self._session.put(key, sealed, congestion_control=zenoh.CongestionControl.BLOCK)
 
     def forge(self):
         """Everything that would move, free or move again what stands, once for each robot."""
