@@ -4,6 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from deltaq_cell.broad_phase import BroadPhase
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_cell.extents import Extents
@@ -150,6 +151,17 @@ def test_a_body_that_is_deeper_in_another_than_it_is_thick_is_still_asked_how_de
         assert proximity.look([single], 0.0).failing == failing
         others = [group for group in proximity.alone["fr"] if group is not tool]
         assert (single in proximity.look([*others, single], 0.0).failing) == bool(failing)
+
+
+def test_the_screen_says_of_no_body_that_is_deep_in_another_that_it_is_less_deep(proximity):
+    proximity.place("fr", LENS_IN_THE_FLOOR, STILL["fr"])
+    tool = next(
+        g for g in proximity.alone["fr"] if g.pairs[0][1].name == "structure/floor" and len(g.pairs) > 1
+    )
+    for index in range(len(tool.pairs)):
+        single = proximity.pair(tool, index)
+        (bound_m,) = BroadPhase([single], proximity._around).rooms()
+        assert bound_m <= proximity.least(single) - single.stop_distance_m + 1e-6
 
 
 def test_a_screen_spares_most_of_the_work(proximity):
