@@ -101,9 +101,11 @@ class Stack:
         return answer
 
     def kill(self, name):
-        """`kill -9`, and the cycle of the robot in which it was sent."""
+        """`kill -9`, and the cycle of the robot in which it was sent; returns when the launcher knows of the end."""
         cycle = self.emulator()["cycle"]
-        os.killpg(self.launcher.children[name].pid, signal.SIGKILL)
+        child = self.launcher.children[name]
+        os.killpg(child.pid, signal.SIGKILL)
+        child.exited.wait()
         return cycle
 
     def phase(self):
