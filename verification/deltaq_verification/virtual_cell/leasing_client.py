@@ -24,11 +24,13 @@ class LeasingClient(ABC):
         robot: that it drives.
 
     Attributes:
+        token: of its lease; None without one.
         answers: whether it answers states; a controller that gets no processor time does not.
     """
 
     def __init__(self, say: Callable[[Message], None], robot: str) -> None:
-        self.robot, self.token = robot, None
+        self.robot = robot
+        self.token: str | None = None
         self.answers = False
         self._say, self._seq = say, 0
 
