@@ -65,6 +65,7 @@ def advise(
     """Rank configurations that hold the hands at their present or at given poses; Ctrl-C ends the search early."""
     from deltaq_command.advice import AdviceRequest, advice
     from deltaq_command.console import print_json
+    from deltaq_controllers.advisor.problem import NotRedundantError
 
     if bench:
         _bench(json)
@@ -85,8 +86,11 @@ def advise(
         trade_off=two_criteria(trade_off),
         hands_may_leave=hands_may_leave,
     )
-    with _Watched() as watched:
-        found = advice(request, watched.go_on)
+    try:
+        with _Watched() as watched:
+            found = advice(request, watched.go_on)
+    except NotRedundantError as error:
+        raise NotRedundantError(f"{error}: give --hands-may-leave") from None
     if json:
         print_json(found.as_dict())
     else:

@@ -122,6 +122,7 @@ def test_hands_out_of_reach_are_said_to_be_and_that_is_exit_status_1() -> None:
         (("--method", "guess"), "no method 'guess'"),
         (("--robot", "fr"), "no robot 'fr' in cell dawm"),
         (("--robot", "fr", "--cell", "lab"), "'fr' is not redundant"),
+        (("--robot", "fr", "--cell", "lab"), "may leave and come back: give --hands-may-leave"),
         (("--execute", "1"), "needs a running cell"),
         (("--trade-off", "travel"), "takes the names of two criteria, A,B, got 'travel'"),
         (("--trade-off", "travel,travel"), "takes the names of two criteria"),

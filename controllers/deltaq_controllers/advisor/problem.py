@@ -32,6 +32,10 @@ class AdvisorError(DeltaqError):
     """A task that the advisor cannot work on."""
 
 
+class NotRedundantError(AdvisorError):
+    """A robot without a joint to spare, whose hand is to stay where it is."""
+
+
 @dataclass(frozen=True)
 class Trials:
     """Feasible configurations among those tried.
@@ -119,7 +123,7 @@ class AdvisorProblem:
 
     def _check_redundant(self) -> None:
         if not self.free and not self.hands_may_leave:
-            raise AdvisorError(
+            raise NotRedundantError(
                 f"robot '{self.robot.name}' is not redundant: with its hand in place there is nothing to advise on, "
                 "unless the hand may leave and come back"
             )
