@@ -54,14 +54,12 @@ class _Link:
     Attributes:
         sender: the process that has shown that it knows this one; empty if none has.
         number: of its newest message.
-        ended: processes whose place it, or one before it, has taken.
         newcomers: those heard since the last greeting that have shown nothing, each with its lot.
     """
 
     def __init__(self) -> None:
         self.sender = b""
         self.number = 0
-        self.ended: set[bytes] = set()
         self.newcomers: dict[bytes, bytes] = {}
 
 
@@ -80,6 +78,9 @@ class Seal:
         self._process = secrets.token_bytes(_PROCESS_BYTES)
         self._number = 0
         self._links: dict[str, _Link] = {}
+        # processes whose place another has taken, by speaker; by key for greetings, which move nothing: who has the
+        # identity of a listener can greet that listener in a speaker's place, and must not silence the speaker
+        self._ended: dict[str, set[bytes]] = {}
         self._known: list[bytes] = []
         self._receivers = _named([])
         self._draw = secrets.token_bytes(_LOT_BYTES)
@@ -109,30 +110,8 @@ class Seal:
                 last, or it is from a process whose successor was heard.
             UnboundMessageError: it was not made for this process; a greeting makes this process known to its sender.
         """
-        opened = self._opened(zenoh_key, sealed)
-        message = _message(opened)
-        link = self._links.get(zenoh_key) or self._links.setdefault(zenoh_key, _Link())
-        sender = opened[:_NUMBER]
-        if sender in link.ended:
-            raise ForgedMessageError(f"{zenoh_key}: from a process that another has taken the place of")
-        if not self._is_receiver(opened):
-            if sender not in self._known:
-                self._admit(link, sender)
-            raise UnboundMessageError(f"{zenoh_key}: not made for this process, but for another or before it")
-        number = int.from_bytes(opened[_NUMBER:_COUNT], "big")
-        if sender != link.sender:
-            if link.sender:
-                link.ended.add(link.sender)
-            link.sender, link.number = sender, 0
-            # more cannot be named; the services of a cell are fewer
-            self._known = sorted({link.sender for link in self._links.values()} - {b""})[:_MOST_RECEIVERS]
-            self._receivers = _named(self._known)
-        if number <= link.number:
-            raise ForgedMessageError(
-                f"{zenoh_key}: number {number} again, the newest so far is {link.number}"
-            )
-        link.number = number
-        return message
+        opened, speaker = self._opened(zenoh_key, sealed)
+        return self._taken(zenoh_key, opened, speaker)
 
     def meet(self, zenoh_key: str, sealed: bytes) -> bool:
         """Register the sender of a greeting; returns whether it was made for this process, and so is known from now on.
@@ -140,8 +119,9 @@ class Seal:
         Raises:
             ForgedMessageError: as `open` does.
         """
+        opened, _ = self._opened(zenoh_key, sealed)
         try:
-            self.open(zenoh_key, sealed)
+            self._taken(zenoh_key, opened, zenoh_key)
         except UnboundMessageError:
             return False
         return True
@@ -153,10 +133,37 @@ class Seal:
             ForgedMessageError: it was not published by a process that may publish under `zenoh_key`, or it is too long;
                 under an identity also if no message there is for this identity.
         """
-        return _message(self._opened(zenoh_key, sealed))
+        opened, _ = self._opened(zenoh_key, sealed)
+        return _message(opened)
 
-    def _opened(self, zenoh_key: str, sealed: bytes) -> bytes:
-        """The bytes behind the MACs, after the MAC for this process was verified."""
+    def _taken(self, zenoh_key: str, opened: bytes, group: str) -> bytes:
+        """The message, if it is newer than the last and its sender is none of the group's that have ended."""
+        message = _message(opened)
+        link = self._links.get(zenoh_key) or self._links.setdefault(zenoh_key, _Link())
+        sender = opened[:_NUMBER]
+        if sender in self._ended.get(group, ()):
+            raise ForgedMessageError(f"{zenoh_key}: from a process that another has taken the place of")
+        if not self._is_receiver(opened):
+            if sender not in self._known:
+                self._admit(link, sender)
+            raise UnboundMessageError(f"{zenoh_key}: not made for this process, but for another or before it")
+        number = int.from_bytes(opened[_NUMBER:_COUNT], "big")
+        if sender != link.sender:
+            if link.sender:
+                self._ended.setdefault(group, set()).add(link.sender)
+            link.sender, link.number = sender, 0
+            # more cannot be named; the services of a cell are fewer
+            self._known = sorted({link.sender for link in self._links.values()} - {b""})[:_MOST_RECEIVERS]
+            self._receivers = _named(self._known)
+        if number <= link.number:
+            raise ForgedMessageError(
+                f"{zenoh_key}: number {number} again, the newest so far is {link.number}"
+            )
+        link.number = number
+        return message
+
+    def _opened(self, zenoh_key: str, sealed: bytes) -> tuple[bytes, str]:
+        """The bytes behind the MACs, after the MAC for this process was verified, and the service that made them."""
         if len(sealed) > MAX_SEALED_BYTES:
             raise ForgedMessageError(
                 f"{zenoh_key}: {len(sealed)} bytes, at most {MAX_SEALED_BYTES} are sealed"
@@ -169,7 +176,7 @@ class Seal:
         mac = sealed[at : at + MAC_BYTES]
         if len(opened) < _RECEIVERS or not compare_digest(mac, _mac(heard.key, _text(zenoh_key, opened))):
             raise ForgedMessageError(f"{zenoh_key}: {len(sealed)} bytes without the seal of {heard.speaker}")
-        return opened
+        return opened, heard.speaker
 
     def _is_receiver(self, opened: bytes) -> bool:
         at = opened.find(self._process, _RECEIVERS, _RECEIVERS + _PROCESS_BYTES * opened[_COUNT])

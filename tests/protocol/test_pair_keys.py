@@ -100,6 +100,24 @@ def test_whatever_bit_is_changed_or_left_out_its_listener_refuses_it(keys, data)
         seal.read(row.key, bytes(sealed)[: data.draw(st.integers(0, len(sealed) - 1))])
 
 
+def test_nobody_ends_the_process_of_another_service_by_saying_its_number(keys):
+    """The attack: numbers of processes are no secret; who has one identity speaks as that one, then as another."""
+    sim, hli, gr = (Seal(keys[name]) for name in ("sim", "hli", "robot-server-gr"))
+    command, state = "deltaq-guarded/lab/command", "deltaq-guarded/lab/gr/state"
+    for seal, name in ((hli, "hli"), (gr, "robot-server-gr")):
+        key = f"deltaq-guarded/lab/greeting/{name}"
+        sim.meet(key, seal.close(key, b""))
+    greeting = sim.greet("deltaq-guarded/lab/greeting/sim", b"")
+    for seal in (hli, gr):
+        assert seal.meet("deltaq-guarded/lab/greeting/sim", greeting)
+    assert sim.open(command, hli.close(command, b"first")) == b"first"
+    own, gr._process = gr._process, hli._process
+    sim.open(state, gr.close(state, b"as the process of the HLI"))
+    gr._process = own
+    sim.open(state, gr.close(state, b"as its own"))
+    assert sim.open(command, hli.close(command, b"second")) == b"second"
+
+
 def test_what_is_said_under_one_key_says_nothing_under_another_of_the_same_speaker(keys):
     for here, there in itertools.permutations(TABLE, 2):
         if here.speaker == there.speaker and here.listeners == there.listeners:

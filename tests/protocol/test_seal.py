@@ -225,6 +225,33 @@ def test_who_has_shown_nothing_is_named_in_a_greeting_alone():
     assert len(receiver.greet(BACK, b"order")) == before, "and in one"
 
 
+@pytest.mark.parametrize("successor_spoke", [True, False])
+def test_what_was_kept_back_until_its_sender_was_gone_is_not_heard_under_any_key(successor_spoke):
+    """The attack: a flood keeps a message from its receiver; it is said when its sender has a successor."""
+    receiver = Seal(RealmKey(KEY))
+    before, _ = acquainted(receiver)
+    receiver.open(WHERE, before.close(WHERE, b"heard"))
+    kept_back = before.close("command", b"reset")
+    after, _ = acquainted(receiver)
+    receiver.open(WHERE, after.close(WHERE, b"heard"))
+    if successor_spoke:
+        receiver.open("command", after.close("command", b"stop"))
+    with pytest.raises(ForgedMessageError, match="taken the place of"):
+        receiver.open("command", kept_back)
+    assert receiver.open("command", after.close("command", b"stop")) == b"stop"
+
+
+def test_who_greets_in_a_speaker_s_place_silences_nobody():
+    """The attack: whoever has a listener's identity can greet that listener as anybody whom it listens to."""
+    receiver = Seal(RealmKey(KEY))
+    sender, _ = acquainted(receiver)
+    impostor, _ = acquainted(receiver)
+    assert receiver.meet(BACK + "/greeting", sender.greet(BACK + "/greeting", b""))
+    receiver.open(WHERE, sender.close(WHERE, b"heard"))
+    assert receiver.meet(BACK + "/greeting", impostor.greet(BACK + "/greeting", b""))
+    assert receiver.open(WHERE, sender.close(WHERE, b"heard again")) == b"heard again"
+
+
 def test_one_key_is_not_kept_waiting_for_the_numbers_of_another():
     sender, receiver = acquainted()
     early, late = sender.close("a", b"early"), sender.close("b", b"late")
