@@ -20,7 +20,8 @@ from deltaq_controllers.advisor.advisor import advise as advise_on
 from deltaq_controllers.advisor.answered import Answered
 from deltaq_controllers.advisor.exact import ExactClearance
 from deltaq_controllers.advisor.problem import AdvisorError, AdvisorProblem
-from deltaq_controllers.inverse.tracking import ConstraintTracker, TrackingError
+from deltaq_controllers.inverse.redundant import first_redundant
+from deltaq_controllers.inverse.tracking import ConstraintTracker
 from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.motion import ModeName
 from deltaq_controllers.modes.teleoperator import Teleoperator
@@ -182,13 +183,8 @@ def _robot(cell: CellModel, name: str) -> tuple[str, ConstraintTracker]:
     """The robot of that name, or the first redundant one."""
     if name:
         return name, ConstraintTracker(cell.robots[name])
-    for candidate, model in cell.robots.items():
-        try:
-            tracker = ConstraintTracker(model)
-        except TrackingError:
-            continue
-        if len(tracker.base):
-            return candidate, tracker
+    if (tracker := first_redundant(cell.robots)) is not None:
+        return tracker.robot.name, tracker
     raise AdvisorError(
         f"cell {cell.description.cell} has no redundant robot whose hands are carried by six joints or more that turn: "
         "nothing to advise on"

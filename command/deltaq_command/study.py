@@ -160,7 +160,9 @@ def _show(report: dict[str, Any]) -> None:
 
 def peg_and_valve(
     cell: CellOption = "lab",
-    robot: Annotated[str, typer.Option(help="A redundant robot with one hand.")] = "gr",
+    robot: Annotated[
+        str | None, typer.Option(help="A redundant robot with one hand.", show_default="the cell's first")
+    ] = None,
     mode: Annotated[list[str] | None, typer.Option(help="Only this mode; repeatable.")] = None,
     seeds: Annotated[
         int,
@@ -175,9 +177,10 @@ def peg_and_valve(
     """Put in a peg and turn a valve in each mode of teleoperation, in virtual time; report time and error."""
     from deltaq_command.console import print_json, print_table
     from deltaq_command.progress import progress_bar
-    from deltaq_experiments.peg_and_valve import OFF_MM, OPERATORS, TILT_DEG, run
+    from deltaq_experiments.peg_and_valve import OFF_MM, OPERATORS, TILT_DEG, robot_for_the_task, run
     from deltaq_experiments.peg_and_valve_summary import FIGURES, by_mode, distributions
 
+    robot = robot or robot_for_the_task(cell)
     with progress_bar("peg and valve") as move:
         runs = run(cell, robot, mode or tuple(OPERATORS), range(seeds), move)
     if json:

@@ -15,9 +15,11 @@ import numpy as np
 import pinocchio as pin
 from pydantic import BaseModel, ConfigDict
 
+from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.advisor.synchronous import SynchronousAdvisor
 from deltaq_controllers.interface import ControllerError, RobotView, View
+from deltaq_controllers.inverse.redundant import first_redundant
 from deltaq_controllers.live import model_of
 from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.motion import HAND_AXES, ModeName, OperatorCommand
@@ -129,7 +131,7 @@ def goals(home: Array, generator: np.random.Generator) -> list[HandGoal]:
 
 def run(
     cell: str | Path = "lab",
-    robot: str = "gr",
+    robot: str | None = None,
     modes: Sequence[str] = tuple(OPERATORS),
     seeds: Sequence[int] = (0,),
     progress: Callable[[int, int], None] | None = None,
@@ -138,17 +140,19 @@ def run(
 
     Args:
         cell: the cell.
-        robot: a redundant robot of it with one hand.
+        robot: a redundant robot of it with one hand; None: its first.
         modes: the modes.
         seeds: of the places of hole and valve, and of the operator; all modes have the same.
         progress: called with the tasks done and their number.
 
     Raises:
         ControllerError: there is no such mode or robot.
+        CellError: there is no such cell.
     """
     unknown = [mode for mode in modes if mode not in OPERATORS]
     if unknown:
         raise ControllerError(f"no mode {unknown[0]!r} for this task; there are {', '.join(OPERATORS)}")
+    robot = robot or robot_for_the_task(cell)
     figures: list[ModeFigures] = []
     for seed in seeds:
         for mode in modes:
@@ -156,6 +160,22 @@ def run(
                 progress(len(figures), len(seeds) * len(modes))
             figures.append(once(cell, robot, mode, seed))
     return figures
+
+
+def robot_for_the_task(cell: str | Path) -> str:
+    """The first redundant robot of a cell that has one hand.
+
+    Raises:
+        ControllerError: there is none.
+        CellError: there is no such cell.
+    """
+    model = CellModel.load(cell)
+    tracker = first_redundant(model.robots, most_hands=1)
+    if tracker is None:
+        raise ControllerError(
+            f"cell {model.description.cell} has no redundant robot with one hand; the task is for one"
+        )
+    return tracker.robot.name
 
 
 def once(cell: str | Path, robot: str, mode: str, seed: int) -> ModeFigures:

@@ -12,7 +12,16 @@ from typer.testing import CliRunner
 from deltaq_command.app import app
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.motion import HAND_AXES, ModeName, OperatorCommand
-from deltaq_experiments.peg_and_valve import OPERATORS, PEG_M, PLACED_M, TILTED_RAD, ModeFigures, goals, run
+from deltaq_experiments.peg_and_valve import (
+    OPERATORS,
+    PEG_M,
+    PLACED_M,
+    TILTED_RAD,
+    ModeFigures,
+    goals,
+    robot_for_the_task,
+    run,
+)
 from deltaq_experiments.peg_and_valve_page import PAGE, main, page
 from deltaq_experiments.peg_and_valve_person import (
     ACTION_S,
@@ -58,6 +67,9 @@ def test_an_unknown_mode_or_robot_is_named() -> None:
         run(robot="xx", modes=["coupled"])
     with pytest.raises(ControllerError, match="one hand, robot 'dawm' has left, right"):
         run("dawm", "dawm", modes=["coupled"])
+    with pytest.raises(ControllerError, match="cell dawm has no redundant robot with one hand"):
+        run("dawm", modes=["coupled"])
+    assert robot_for_the_task("lab") == "gr"
     refused = CliRunner().invoke(app, ["peg-and-valve", "--seeds", "0"])
     assert refused.exit_code == 2
     assert "--seeds" in refused.output

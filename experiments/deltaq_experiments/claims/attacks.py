@@ -20,8 +20,9 @@ FIRST_ATTACK_S = 1.0
 CELLS = ("lab", "lab-open", "lab-aside")
 """The lab; the lab without the panel, on which the attacker jams; and the same with the follower elsewhere."""
 
-_COLLISION = (q.CONTACTS, q.CLEARANCE, q.ANGLE, q.BELOW_1_DEG, q.PRESSURE, q.HELD, q.ROLL, q.SEEN)
-_UNGATED = (q.CONTACTS, q.CLEARANCE, q.ANGLE, q.BELOW_1_DEG, q.PRESSURE, q.ROLL, q.SEEN)
+_LEADER = (q.PRESSURE, q.LEADER_MEAN, q.LEADER_PEAK)
+_COLLISION = (q.CONTACTS, q.CLEARANCE, q.ANGLE, q.BELOW_1_DEG, *_LEADER, q.HELD, q.ROLL, q.SEEN)
+_UNGATED = (q.CONTACTS, q.CLEARANCE, q.ANGLE, q.BELOW_1_DEG, *_LEADER, q.ROLL, q.SEEN)
 
 
 def _kept_clear(least_m: float) -> Callable[[JsonReport], bool]:
