@@ -5,8 +5,8 @@ import { mock, test } from "node:test";
 
 const folder = process.env.DELTAQ_BROWSER_MODULES;
 const load = (name) => import(`${folder}/${name}.js`);
-const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { Gamepad, shaped, wishOf }, { csvCell }, { Player, Replay }, drag, { score }, hands, { Pace }, { framed }, { boxesBeside, roomOf }, { axisOf, axisText }] = await Promise.all(
-  ["connection", "live", "stop", "wish", "frame", "series", "gamepad", "event_log", "replay", "drag_math", "advisor_cards", "hands", "pace", "framing", "tags", "plots"].map(load),
+const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { Gamepad, shaped, wishOf }, { csvCell }, { Player, Replay }, drag, { score }, hands, { Pace }, { framed }, { boxesBeside, roomOf }, { axisOf, axisText }, { modesOf }] = await Promise.all(
+  ["connection", "live", "stop", "wish", "frame", "series", "gamepad", "event_log", "replay", "drag_math", "advisor_cards", "hands", "pace", "framing", "tags", "plots", "modes"].map(load),
 );
 
 // what wish.js and stop.js hear from a page
@@ -663,4 +663,15 @@ test("an axis has the range of its values and is no narrower than is worth looki
   assert.deepEqual(axisOf({ lines: [{ series }], least: 1 }, 0).map((value) => value.toFixed(2)), ["3.60", "4.60"]);
   assert.deepEqual(axisOf({ lines: [{ series: new Series() }], least: 20, from: 0 }, 0), [0, 20]);
   assert.deepEqual([axisText(7.38, [0, 7.38]), axisText(100, [0, 100]), axisText(1.31, [1.31, 1.51])], ["7", "100", "1.31"]);
+});
+
+test("modes are offered to robots that have the joints for them", () => {
+  const robot = (joints, hands, camera = null) => ({ joints: Array(joints).fill({ kind: "revolute" }), tools: Array(hands).fill({}), camera });
+  const those = (...given) => modesOf(robot(...given)).filter((mode) => ["self-motion", "advisor", "follow"].includes(mode));
+  assert.deepEqual(those(5, 1), []); // its hand has poses that cannot be kept
+  assert.deepEqual(those(6, 1, {}), ["advisor", "follow"]); // the hand leaves its pose on the way
+  assert.deepEqual(those(7, 1), ["self-motion", "advisor"]); // though no joint slides
+  assert.deepEqual(those(12, 2), ["advisor"]);
+  assert.deepEqual(those(17, 2), ["self-motion", "advisor"]);
+  assert.deepEqual(modesOf(robot(4, 1)), ["joint", "decoupled", "coupled", "pose"]);
 });

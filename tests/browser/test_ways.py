@@ -19,18 +19,19 @@ TIP = """(() => {
 })()"""
 
 
-def in_mode(page, mode):
-    """Take gr, whichever way it was driven before, and drive it in a mode."""
-    page.locator("[data-robot=gr]").click()
-    page.wait_for_function("deltaq.live.locked('gr') === ''")
+def in_mode(page, mode, robot="gr"):
+    """Take a robot, whichever way it was driven before, and drive it in a mode."""
+    page.locator(f"[data-robot={robot}]").click()
+    page.wait_for_function("robot => deltaq.live.locked(robot) === ''", arg=robot)
     page.get_by_role("button", name="Take control").click()
     page.wait_for_function(
-        "(deltaq.live.robot('gr').lease.mine && deltaq.live.robot('gr').mode)"
-        " || document.querySelector('.answer').textContent"
+        "robot => (deltaq.live.robot(robot).lease.mine && deltaq.live.robot(robot).mode)"
+        " || document.querySelector('.answer').textContent",
+        arg=robot,
     )
     assert page.locator(".answer").first.text_content() == ""
     page.locator(f"[data-mode={mode}]").click()
-    page.wait_for_function("mode => deltaq.live.robot('gr').mode === mode", arg=mode)
+    page.wait_for_function("([robot, mode]) => deltaq.live.robot(robot).mode === mode", arg=[robot, mode])
 
 
 def hold(page, button, option):
@@ -60,10 +61,10 @@ def tip_at_rest(page):
     )
 
 
-def give_back(page):
-    """Release the robot, for whoever comes next."""
-    page.evaluate("deltaq.live.send('lease', {robot: 'gr', action: 'release'})")
-    page.wait_for_function("!deltaq.live.robot('gr').lease.holder")
+def give_back(page, robot="gr"):
+    """Release a robot, for whoever comes next."""
+    page.evaluate("robot => deltaq.live.send('lease', {robot, action: 'release'})", robot)
+    page.wait_for_function("robot => !deltaq.live.robot(robot).lease.holder", arg=robot)
 
 
 def let_go(page):
@@ -123,6 +124,21 @@ def test_an_option_is_shown_gone_to_while_held_left_and_cancelled(opened):
     assert leaves.is_checked()
     page.wait_for_function("deltaq.ways.of('gr', 'advisor').some(({hands_leave}) => hands_leave)")
     give_back(page)
+
+
+def test_an_arm_without_a_joint_to_spare_is_offered_ways_on_which_its_hand_leaves(opened):
+    page = opened()
+    in_mode(page, "advisor", "fr")
+    assert page.locator("[data-mode=self-motion]").is_hidden()
+    # its driver says that the hand may leave: without that there is nothing to offer
+    page.wait_for_function(
+        "deltaq.live.robot('fr').search?.hands_may_leave && !deltaq.live.robot('fr').search.is_busy"
+    )
+    assert page.get_by_label("Hands may leave their pose on the way, and return").is_checked()
+    page.wait_for_function("deltaq.ways.of('fr', 'advisor').some(({hands_leave}) => hands_leave)")
+    told = page.locator(".card-option", has_text="The hand leaves its pose on the way and returns to it.")
+    told.first.wait_for()
+    give_back(page, "fr")
 
 
 def test_a_pose_that_is_dragged_is_shown_first_and_gone_to_when_told(opened, served_cell):

@@ -1,13 +1,14 @@
 // Brings the cell to life on the page: its description is fetched, drawn, and the panels put around it.
 
 import { fetched, part, remembered } from "./dom.js";
-import { Driven, drivingPanel, MODES } from "./driving.js";
+import { Driven, drivingPanel } from "./driving.js";
 import { FollowerPicture } from "./follower.js";
 import { Gamepad } from "./gamepad.js";
 import { keepsGrip } from "./hands.js";
 import { jointBars } from "./joints.js";
 import { driveByKeys } from "./keyboard.js";
 import { MeshStore } from "./meshes.js";
+import { MODES } from "./modes.js";
 import { Motion } from "./motion.js";
 import { Overlays } from "./overlays.js";
 import { padDrawing } from "./pad_drawing.js";

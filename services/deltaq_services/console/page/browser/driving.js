@@ -6,19 +6,10 @@ import { ALL, handsPanel, OBJECT } from "./hands.js";
 import { holdsFor } from "./hold.js";
 import { jogPad } from "./jog.js";
 import { masterPanel } from "./master.js";
+import { MODES, modesOf } from "./modes.js";
 import { posePanel } from "./pose_panel.js";
 
 const TAKE_OVER_MS = 1000;
-
-export const MODES = [
-  ["joint", "Joint", "move each joint by itself; leads out of any limit"],
-  ["decoupled", "Decoupled", "move the hand with the arm alone; the base stands still"],
-  ["coupled", "Coupled", "move the hand with all joints"],
-  ["self-motion", "Self-motion", "move any joint; the hand keeps its pose"],
-  ["advisor", "Advisor", "drive to an option of the advisor; the hand keeps its pose"],
-  ["pose", "Pose", "drag the hand to a pose in the picture; the way is shown first"],
-  ["follow", "Follow", "the camera keeps the leader's hand in view"],
-];
 
 /** What is driven now; the rest of the page reads it. */
 export class Driven extends EventTarget {
@@ -204,11 +195,10 @@ export function drivingPanel(context) {
     verbs.grant.hidden = verbs.refuse.hidden = !mine || !wantedBy;
     for (const button of Object.values(verbs)) button.disabled = !!locked;
 
-    const has = driven.scenery.camera;
-    const hasBase = driven.scenery.joints.some((joint) => joint.kind === "prismatic") || driven.scenery.tools.length > 1;
+    const offered = modesOf(driven.scenery);
     for (const button of modes.children) {
       const { mode } = button.dataset;
-      button.hidden = (mode === "follow" && !has) || (["self-motion", "advisor"].includes(mode) && !hasBase);
+      button.hidden = !offered.includes(mode);
       button.setAttribute("aria-checked", String(robot.mode === mode));
       button.disabled = !!locked || !mine;
     }
