@@ -10,9 +10,10 @@ from deltaq_protocol.endpoint import Endpoint
 NEEDS_TOKENS = "clients_need_tokens"
 ALLOWS_ANYBODY = "anyone_who_connects_may_move_the_robots"
 CROSSES_IN_CLEAR = (
-    "zenoh's links of the open realm are not encrypted, and other machines reach this address: tokens do not cross "
-    "them, but whoever reads a link while a lease is granted has its secret, and can move that robot; put a tunnel "
-    "between the machines, or listen on 127.0.0.1 and let clients come over lines with TLS (`tcp_address`)"
+    "zenoh's links of this endpoint are not encrypted, and other machines reach this address: tokens do not cross "
+    "them, but whoever reads a link while a lease is granted has its secret, and can move that robot; write "
+    "tls/ in place of tcp/ if clients have identities, put a tunnel between the machines, or listen on 127.0.0.1 and "
+    "let clients come over lines with TLS (`tcp_address`)"
 )
 """What there is to say of an `hli` that leaves the loopback, where clients have to prove who they are."""
 
@@ -27,8 +28,9 @@ def off_loopback(cell: CellDescription) -> tuple[str, str] | None:
 
 
 def zenoh_in_clear(cell: CellDescription) -> tuple[str, str] | None:
-    """The field that lets zenoh's open realm cross a network, where nothing encrypts it, and its value; or None."""
-    return None if Endpoint.parse(cell.hli).is_loopback else ("hli", cell.hli)
+    """The field that lets zenoh's open realm cross a network without encryption, and its value; or None."""
+    endpoint = Endpoint.parse(cell.hli)
+    return None if endpoint.is_loopback or endpoint.transport == "tls" else ("hli", cell.hli)
 
 
 def is_loopback(host: str) -> bool:

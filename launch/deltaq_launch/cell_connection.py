@@ -10,6 +10,7 @@ from typing import Any
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import blocking
 from deltaq_protocol.blocking import BlockingCell
+from deltaq_protocol.certified.encryption import client_tls
 from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.identity import CellIdentity, mismatch
@@ -136,7 +137,7 @@ def listen(cell: CellDescription | Where) -> Iterator[Listener]:
     Raises:
         ServiceUnreachableError: if nothing listens there.
     """
-    session = open_session(connect=[cell.hli], must_connect=True)
+    session = open_session(connect=[cell.hli], must_connect=True, tls=client_tls(cell.hli))
     try:
         yield Listener(session, cell.cell or "*")
     finally:

@@ -18,6 +18,7 @@ import yaml
 
 from deltaq_cell.description import RsiDescription
 from deltaq_cell.load import find_cell, load_cell
+from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.errors import DeltaqError
 
 
@@ -104,7 +105,8 @@ def write_private_cell(
         NoFreePortsError: every port is claimed, or the folder of the claims is not this user's.
     """
     file = find_cell(base)
-    rsi = {name: isinstance(robot.driver, RsiDescription) for name, robot in load_cell(file).robots.items()}
+    description = load_cell(file)
+    rsi = {name: isinstance(robot.driver, RsiDescription) for name, robot in description.robots.items()}
     hli, sim, tcp, console, *ports = free_ports(4 + sum(3 if has_krc else 1 for has_krc in rsi.values()))
     robots: dict[str, dict[str, Any]] = {}
     for name, has_krc in rsi.items():
@@ -113,7 +115,7 @@ def write_private_cell(
             robots[name] |= {"driver": {"port": ports.pop(0), "control_port": ports.pop(0)}}
     cell = {
         "extends": str(file.resolve()),
-        "hli": f"tcp/127.0.0.1:{hli}",
+        "hli": f"{Endpoint.parse(description.hli).transport}/127.0.0.1:{hli}",
         "sim": f"{transport}/{guarded}:{sim}",
         "tcp_port": tcp,
         "console_port": console,

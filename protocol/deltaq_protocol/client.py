@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike
 
 from deltaq_protocol import topics
 from deltaq_protocol.asking import Asking
+from deltaq_protocol.certified.encryption import client_tls
 from deltaq_protocol.codec import from_map
 from deltaq_protocol.describing import described
 from deltaq_protocol.held_leases import HeldLeases
@@ -265,21 +266,24 @@ def connect(
         token: the operator's or the controller's, if the server asks for one; it is not sent. None: the token in
             the environment variable `DELTAQ_CLIENT_TOKEN`, or in the file that `DELTAQ_CLIENT_TOKEN_FILE` names.
         identity: folder of an operator's or a controller's identity, which is preferred to a token; None: the folder
-            that the environment variable `DELTAQ_CLIENT_IDENTITY` names, if any.
+            that the environment variable `DELTAQ_CLIENT_IDENTITY` names, if any. An address of `tls/` needs one.
 
     Files that the environment names are read, and errors in them raised, when a role is needed; a stop needs none.
 
     Raises:
-        IdentityError: the identity is missing, not valid, or a service's.
+        IdentityError: the identity is missing, not valid, or a service's, or an encrypted address needs one.
         ServiceUnreachableError: no HLI answers at the address.
         RefusedError: `protocol_version`, if the server speaks another version.
     """
-    return Opening(_connected(address, client, role_prover(token, identity)))
+    return Opening(_connected(address, client, role_prover(token, identity), identity))
 
 
 @asynccontextmanager
-async def _connected(address: str, client: str, role: RoleProver | None) -> AsyncIterator[Cell]:
-    session = await asyncio.to_thread(open_session, connect=[address], must_connect=True)
+async def _connected(
+    address: str, client: str, role: RoleProver | None, identity: str | os.PathLike[str] | None
+) -> AsyncIterator[Cell]:
+    tls = client_tls(address, identity)
+    session = await asyncio.to_thread(open_session, connect=[address], must_connect=True, tls=tls)
     wire = Wire(session, asyncio.get_running_loop())
     try:
         cell = Cell(wire, await described(wire, address), client, role)

@@ -9,8 +9,8 @@ from typing import Any
 
 from deltaq_cell.description import CellDescription
 from deltaq_protocol.access import access
+from deltaq_protocol.certified.encryption import is_encrypted
 from deltaq_protocol.certified.names import CLIENT_IDENTITY, IDENTITY
-from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.sayings import speakers_to
 from deltaq_protocol.session import open_session
 from deltaq_protocol.topic import Party, Realm
@@ -40,7 +40,7 @@ def open_guarded_session(
         IdentityError: the identity belongs to another service, or is not valid.
         ServiceUnreachableError: the session cannot listen on an endpoint.
     """
-    tls = _tls(cell, [*listen, *connect], os.environ.get(IDENTITY), service)
+    tls = service_tls(cell, [*listen, *connect], os.environ.get(IDENTITY), service)
     speakers = None if tls is None else speakers_to(service, cell.cell, tuple(cell.robots))
     rules = access(party, Realm.GUARDED, cell.cell, robot, speakers)
     return open_session(listen=listen, connect=connect, access=rules, tls=tls)
@@ -55,14 +55,19 @@ def open_watching_session(cell: CellDescription, connect: Sequence[str], watched
         ServiceUnreachableError: no service answers there.
     """
     folder = os.environ.get(IDENTITY) or os.environ.get(CLIENT_IDENTITY)
-    return open_session(connect=connect, must_connect=True, tls=_tls(cell, connect, folder, watched))
+    return open_session(connect=connect, must_connect=True, tls=service_tls(cell, connect, folder, watched))
 
 
-def _tls(
+def service_tls(
     cell: CellDescription, endpoints: Sequence[str], folder: str | None, service: str
 ) -> dict[str, Any] | None:
-    """The certificates of a session, as zenoh's configuration has them; None if no endpoint is of TLS."""
-    encrypted = [text for text in endpoints if Endpoint.parse(text).transport == "tls"]
+    """The certificates of a service's session, as zenoh's configuration has them; None if no endpoint is of TLS.
+
+    Raises:
+        GuardedKeyError: an endpoint uses TLS, and no folder is given.
+        IdentityError: the identity there belongs to another service or cell, or is not valid.
+    """
+    encrypted = [text for text in endpoints if is_encrypted(text)]
     if not encrypted:
         return None
     if not folder:

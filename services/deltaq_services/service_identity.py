@@ -10,8 +10,9 @@ from typing import Any
 from cryptography import x509
 
 from deltaq_cell.description import CellDescription
+from deltaq_protocol.certified import encryption
 from deltaq_protocol.certified.certificate import cell_in, certificate_in, check_authority, now_utc
-from deltaq_protocol.certified.identity import AUTHORITY, CERTIFICATE, KEY, Identity, read_believed
+from deltaq_protocol.certified.identity import Identity, read_believed
 from deltaq_protocol.certified.names import AUTHORITY_FILE, IDENTITY, IdentityError, IdentityKind
 from deltaq_protocol.errors import Severity
 from deltaq_protocol.sayings import HLI, services
@@ -111,10 +112,7 @@ def authority_of_clients(cell: CellDescription, environment: Mapping[str, str]) 
 
 
 def tls_settings(cell: CellDescription, folder: Path, service: str = "") -> dict[str, Any]:
-    """Certificates of a session over TLS, as zenoh's configuration has them.
-
-    Both ends show theirs. They are services' and people's, not hosts', so that no host's name is looked for in one: who
-    is heard under which key, access control and seals decide.
+    """Certificates of a service's session over TLS, as zenoh's configuration has them.
 
     Args:
         cell: the cell.
@@ -125,14 +123,4 @@ def tls_settings(cell: CellDescription, folder: Path, service: str = "") -> dict
         IdentityError: if there is no identity of this cell, or it is not valid.
     """
     own = folder / service
-    place = _of_cell(cell, own if own.is_dir() else folder).folder
-    key, certificate = str(place / KEY), str(place / CERTIFICATE)
-    return {
-        "root_ca_certificate": str(place / AUTHORITY),
-        "listen_private_key": key,
-        "listen_certificate": certificate,
-        "connect_private_key": key,
-        "connect_certificate": certificate,
-        "enable_mtls": True,
-        "verify_name_on_connect": False,
-    }
+    return encryption.tls_settings(_of_cell(cell, own if own.is_dir() else folder).folder)

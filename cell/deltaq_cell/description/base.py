@@ -12,8 +12,8 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 JointName = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z_][A-Za-z0-9_.-]*$")]
 """As its URDF names it."""
-EndpointText = Annotated[str, Field(pattern=r"^tcp(\+udp)?/[^/\s]+:\d{1,5}$")]
-"""Of the open realm; `tcp+udp` where the network loses packets."""
+EndpointText = Annotated[str, Field(pattern=r"^(tcp|tcp\+udp|tls)/[^/\s]+:\d{1,5}$")]
+"""Of the open realm; `tcp+udp` where the network loses packets, `tls` where clients have identities."""
 GuardedEndpointText = Annotated[str, Field(pattern=r"^(tcp|tls)/[^/\s]+:\d{1,5}$")]
 """Of the guarded realm; `tls` where its services have identities."""
 

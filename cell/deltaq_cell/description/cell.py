@@ -94,7 +94,8 @@ class CellDescription(DescriptionModel):
     contacts: dict[Name, ContactDescription] = {}
     """Contacts that an operator may allow; none is allowed at the start."""
     hli: EndpointText = "tcp/127.0.0.1:7447"
-    """Where the HLI serves zenoh clients; with `tcp+udp` streams go over UDP, for networks that lose packets."""
+    """Where the HLI serves zenoh clients; with `tcp+udp` streams go over UDP, for networks that lose packets; with
+    `tls` it is encrypted, and only clients with an identity of the cell can connect."""
     sim: GuardedEndpointText = "tcp/127.0.0.1:7450"
     """Where the SIM listens in the guarded realm."""
     tcp_address: str = "127.0.0.1"

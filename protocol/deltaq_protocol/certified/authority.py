@@ -22,7 +22,6 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from deltaq_protocol.certified import identity as folders
 from deltaq_protocol.certified.certificate import (
     cell_in,
     certificate_in,
@@ -31,7 +30,16 @@ from deltaq_protocol.certified.certificate import (
     name_in,
     public_key_of,
 )
-from deltaq_protocol.certified.names import IdentityError, IdentityKind, kind_of
+from deltaq_protocol.certified.identity import private_key_in, read_believed
+from deltaq_protocol.certified.names import (
+    AUTHORITY,
+    CERTIFICATE,
+    KEY,
+    SERVICES,
+    IdentityError,
+    IdentityKind,
+    kind_of,
+)
 
 FOLDER = "authority"
 ISSUED = "issued"
@@ -92,9 +100,9 @@ class Authority:
         Raises:
             IdentityError: if there is none, or it is not its owner's secret.
         """
-        key = folders.private_key_in(folder / folders.KEY)
-        file = folder / folders.CERTIFICATE
-        certificate = certificate_in(folders.read_believed(file), str(file))
+        key = private_key_in(folder / KEY)
+        file = folder / CERTIFICATE
+        certificate = certificate_in(read_believed(file), str(file))
         check_authority(certificate, str(file), now)
         if public_key_of(certificate) != key.public_key():
             raise IdentityError(f"{file} is not of the key beside it; copy whole folders")
@@ -127,8 +135,8 @@ class Authority:
     def write(self, folder: Path) -> None:
         """Write it to a new folder."""
         with _made_whole(folder) as unfinished:
-            _write_key(unfinished / folders.KEY, self._key)
-            _write_certificate(unfinished / folders.CERTIFICATE, self.certificate)
+            _write_key(unfinished / KEY, self._key)
+            _write_certificate(unfinished / CERTIFICATE, self.certificate)
             (unfinished / ISSUED).mkdir(mode=0o700)
 
 
@@ -178,13 +186,13 @@ def make_identities(
         of_services = {name: certificates[name] for name in services}
         for name, (key, certificate) in made.items():
             with _made_whole(to / name) as unfinished:
-                _write_key(unfinished / folders.KEY, key)
-                _write_certificate(unfinished / folders.CERTIFICATE, certificate)
-                _write_certificate(unfinished / folders.AUTHORITY, issuing.certificate)
+                _write_key(unfinished / KEY, key)
+                _write_certificate(unfinished / CERTIFICATE, certificate)
+                _write_certificate(unfinished / AUTHORITY, issuing.certificate)
                 _write_services(unfinished, of_services)
             _write_certificate(place / ISSUED / f"{name}.pem", certificate)
         for folder in to.iterdir():
-            if (folder / folders.SERVICES).is_dir():
+            if (folder / SERVICES).is_dir():
                 _write_services(folder, of_services)
     except OSError as error:
         raise IdentityError(f"{error.filename} cannot be written: {error.strerror}") from error
@@ -206,7 +214,7 @@ def _issued(place: Path, name: str, issuing: Authority, now: datetime) -> x509.C
     file = place / ISSUED / f"{name}.pem"
     if not file.exists():
         return None
-    certificate = certificate_in(folders.read_believed(file), str(file))
+    certificate = certificate_in(read_believed(file), str(file))
     check_issued(certificate, issuing.certificate, str(file), now)
     if name_in(certificate) != name:
         raise IdentityError(f"{file} is the certificate of {name_in(certificate)}; copy whole folders")
@@ -215,7 +223,7 @@ def _issued(place: Path, name: str, issuing: Authority, now: datetime) -> x509.C
 
 def _write_services(folder: Path, certificates: dict[str, x509.Certificate]) -> None:
     """Add the certificates of services that are not there yet."""
-    services = folder / folders.SERVICES
+    services = folder / SERVICES
     services.mkdir(mode=0o755, exist_ok=True)
     for name, certificate in certificates.items():
         if not (services / f"{name}.pem").exists():

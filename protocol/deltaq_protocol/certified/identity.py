@@ -28,10 +28,17 @@ from deltaq_protocol.certified.certificate import (
     name_in,
     public_key_of,
 )
-from deltaq_protocol.certified.names import IdentityError, IdentityKind, kind_of
+from deltaq_protocol.certified.names import (
+    AUTHORITY,
+    CERTIFICATE,
+    KEY,
+    SERVICES,
+    IdentityError,
+    IdentityKind,
+    kind_of,
+)
 from deltaq_protocol.secret_file import contents, faults_of_believed, faults_of_secret
 
-KEY, CERTIFICATE, AUTHORITY, SERVICES = "key.pem", "certificate.pem", "authority.pem", "services"
 _MAKES = "deltaq keys CELL --to FOLDER"
 
 

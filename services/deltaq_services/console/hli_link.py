@@ -16,6 +16,7 @@ from typing import Any
 
 from deltaq_protocol import topics
 from deltaq_protocol.asking import Asking
+from deltaq_protocol.certified.encryption import client_tls
 from deltaq_protocol.in_order import in_order
 from deltaq_protocol.role_prover import RoleProver
 from deltaq_protocol.session import open_session
@@ -93,7 +94,7 @@ class HliLink:
         self._entered = asyncio.Event()
 
     async def __aenter__(self) -> HliLink:
-        session = await asyncio.to_thread(open_session, connect=[self._hli])
+        session = await asyncio.to_thread(open_session, connect=[self._hli], tls=client_tls(self._hli))
         self._wire = wire = Wire(session, asyncio.get_running_loop())
         for robot, ear in self._ears.items():
             wire.subscribe_unqueued(topics.STATE.key(self._cell, robot=robot), in_order(ear.state))

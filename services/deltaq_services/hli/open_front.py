@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import threading
 from collections import Counter
 from collections.abc import Callable
@@ -13,6 +14,7 @@ import zenoh
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
 from deltaq_protocol.access import access
+from deltaq_protocol.certified.names import IDENTITY
 from deltaq_protocol.codec import InvalidMessageError, pack, unpack
 from deltaq_protocol.messages import (
     Challenge,
@@ -28,9 +30,11 @@ from deltaq_protocol.messages import (
     ViewRequest,
 )
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_protocol.sayings import HLI
 from deltaq_protocol.session import open_session
 from deltaq_protocol.stamps import StampStation, stamps_if_asked
 from deltaq_protocol.topic import Party, Realm, Topic
+from deltaq_services.guarded_session import service_tls
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.sieve import Sieve, Sifted
 from deltaq_services.hli.zenoh_session import LoopSession
@@ -69,6 +73,8 @@ class OpenFront:
     """Takes increments, answers queries, publishes states and verdicts.
 
     Raises:
+        GuardedKeyError: `cell.hli` uses TLS, and there is no identity.
+        IdentityError: the identity belongs to another service, or is not valid.
         ServiceUnreachableError: if `cell.hli` cannot be listened on.
     """
 
@@ -80,7 +86,8 @@ class OpenFront:
         self._lock = threading.Lock()
         self._stamps = stamps_if_asked("hli", list(cell.robots))
         rules = access(Party.HLI, Realm.OPEN, cell.cell)
-        self._opened = open_session(listen=[cell.hli], access=rules)
+        tls = service_tls(cell, [cell.hli], os.environ.get(IDENTITY), HLI)
+        self._opened = open_session(listen=[cell.hli], access=rules, tls=tls)
         session = self._session = LoopSession(self._opened, cell.cell, port.loop)
         self._sieve = Sieve(self._increment_keys, cell.cycle_s, port.authentication, port.now)
         session.subscribe_sifted(topics.INCREMENT, self._sieve.sift, self._on_increment)
