@@ -233,6 +233,18 @@ def test_where_clients_prove_who_they_are_zenoh_in_the_clear_is_told_with_field_
     path, _ = checked(tmp_path, open_address)
     (problem,) = check_cell(path).problems
     assert (problem.severity, problem.field, problem.value) == ("warning", "hli", value)
-    for remedy in ("tunnel", "127.0.0.1", "TLS (`tcp_address`)"):
+    for remedy in ("tls/", "tunnel", "127.0.0.1", "TLS (`tcp_address`)"):
         assert remedy in problem.message
     assert check_cell(path).ok
+
+
+def test_where_zenoh_is_encrypted_there_is_nothing_to_be_told(tmp_path: Path) -> None:
+    open_address = ("hli: tcp/127.0.0.1:7447", "hli: tls/192.0.2.1:7447\nclients_need_tokens: true")
+    path, _ = checked(tmp_path, open_address)
+    assert check_cell(path).problems == ()
+
+
+def test_an_encrypted_address_is_no_less_open_than_another(tmp_path: Path) -> None:
+    path, _ = checked(tmp_path, ("hli: tcp/127.0.0.1:7447", "hli: tls/192.0.2.1:7447"))
+    (problem,) = check_cell(path).problems
+    assert (problem.severity, problem.field) == ("error", "hli")
