@@ -36,7 +36,7 @@ DQ = (1e-6, 0.0, 0.0, 0.0, 0.0, 0.0)
 """What is asked for in each cycle: so little that the gate admits it always [rad]."""
 
 
-class Delays(BaseModel):
+class AnswerTimes(BaseModel):
     """How late answers are.
 
     Attributes:
@@ -56,12 +56,12 @@ class Delays(BaseModel):
         return f"controller {self.controller_ms:g} ms, sigma {self.sigma:g}; admission {low:g} to {high:g} ms"
 
 
-DELAYS = (
-    Delays(controller_ms=8.0, sigma=0.12, gate_ms=(1.5, 2.0)),
-    Delays(controller_ms=5.0, sigma=0.3, gate_ms=(2.0, 6.0)),
-    Delays(controller_ms=8.0, sigma=0.3, gate_ms=(3.0, 11.0)),
-    Delays(controller_ms=9.0, sigma=0.5, gate_ms=(4.0, 14.0)),
-    Delays(controller_ms=5.0, sigma=0.5, gate_ms=(4.0, 20.0)),
+ANSWER_TIMES = (
+    AnswerTimes(controller_ms=8.0, sigma=0.12, gate_ms=(1.5, 2.0)),
+    AnswerTimes(controller_ms=5.0, sigma=0.3, gate_ms=(2.0, 6.0)),
+    AnswerTimes(controller_ms=8.0, sigma=0.3, gate_ms=(3.0, 11.0)),
+    AnswerTimes(controller_ms=9.0, sigma=0.5, gate_ms=(4.0, 14.0)),
+    AnswerTimes(controller_ms=5.0, sigma=0.5, gate_ms=(4.0, 20.0)),
 )
 
 
@@ -78,7 +78,7 @@ class LookaheadRow(BaseModel):
 
     model_config = ConfigDict(frozen=True)
 
-    delays: Delays
+    delays: AnswerTimes
     lookahead_cycles: int
     cycles: int
     braked: tuple[int, ...]
@@ -90,7 +90,7 @@ class LookaheadRow(BaseModel):
         return sum(self.braked) / (self.cycles * len(self.braked))
 
 
-def measure(lab: LoadedCell, delays: Delays, seeds: int, cycles: int) -> LookaheadRow:
+def measure(lab: LoadedCell, delays: AnswerTimes, seeds: int, cycles: int) -> LookaheadRow:
     """Drive the floor robot of a cell under these delays, once for each seed."""
     runs = [_run(lab, delays, seed, cycles) for seed in range(seeds)]
     latencies = np.concatenate([latency for _, latency in runs])
@@ -103,7 +103,7 @@ def measure(lab: LoadedCell, delays: Delays, seeds: int, cycles: int) -> Lookahe
     )
 
 
-def _run(lab: LoadedCell, delays: Delays, seed: int, cycles: int) -> tuple[int, np.ndarray]:
+def _run(lab: LoadedCell, delays: AnswerTimes, seed: int, cycles: int) -> tuple[int, np.ndarray]:
     """Cycles of the brake, and by increment that moved the robot the cycles that it took to do so."""
     cell = VirtualCell(lab)
     cell.run_until_ready()
@@ -130,7 +130,7 @@ def _run(lab: LoadedCell, delays: Delays, seed: int, cycles: int) -> tuple[int, 
     return cycles - (counters["admissions"] - before), latency
 
 
-def _wires(delays: Delays, seed: int) -> tuple[DelayedWire, DelayedWire]:
+def _wires(delays: AnswerTimes, seed: int) -> tuple[DelayedWire, DelayedWire]:
     of_controller, of_gate = random.Random(seed), random.Random(seed + 1000)
     low_ms, high_ms = delays.gate_ms
     return (
@@ -146,7 +146,7 @@ def rows(
     seeds: int,
     cycles: int,
     on_row: Callable[[LookaheadRow], None],
-    kinds: Sequence[Delays] = DELAYS,
+    kinds: Sequence[AnswerTimes] = ANSWER_TIMES,
 ) -> list[LookaheadRow]:
     """Measure every lookahead under all kinds of delays.
 

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from deltaq_experiments.lookahead import DELAYS, LookaheadRow, draw, main, rows
+from deltaq_experiments.lookahead import ANSWER_TIMES, LookaheadRow, draw, main, rows
 
 pytestmark = pytest.mark.long
 
 
 @pytest.fixture(scope="module")
 def found() -> dict[int, LookaheadRow]:
-    slow_gate = DELAYS[-1]
+    slow_gate = ANSWER_TIMES[-1]
     measured = rows((1, 3), seeds=1, cycles=60, on_row=lambda _: None, kinds=(slow_gate,))
     return {row.lookahead_cycles: row for row in measured}
 
