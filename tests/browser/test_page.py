@@ -70,6 +70,7 @@ PICTURE = """() => {
 }"""
 
 
+@pytest.mark.nightly
 def test_what_was_drawn_off_the_page_is_shown_on_it_and_follows_what_moves(opened):
     page = opened()
     page.wait_for_function("deltaq.stage.isFinest()")

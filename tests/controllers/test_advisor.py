@@ -171,7 +171,7 @@ STARTS = {robot: starts(CellModel.load(CELLS[robot]), robot, 3, seed=4711) for r
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("robot", STARTS)
+@pytest.mark.parametrize("robot", ["dawm", pytest.param("gr", marks=pytest.mark.nightly)])
 def test_from_almost_every_start_some_option_is_better_and_can_be_driven_to(robot: str) -> None:
     better = 0
     for found in answers(robot):

@@ -154,8 +154,8 @@ def test_where_bodies_come_near_the_robot_stops_by_itself_and_the_gate_refuses_n
     assert away.limitations[-1] == ""
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("mode", [COUPLED, pytest.param(DECOUPLED, marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("mode", [COUPLED, DECOUPLED])
 def test_a_hand_that_meets_a_moving_robot_stops_by_itself_and_the_gate_holds_neither(mode: ModeName) -> None:
     run = StackDrive("gr", mode, keeps_clear=True)
     run.join("fr", DECOUPLED, y=-0.08)
