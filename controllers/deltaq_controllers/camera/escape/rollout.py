@@ -141,8 +141,14 @@ def _move(
 ) -> tuple[float, float, Array]:
     """Move `q` and `rates` (n,) by a step; the view's error [rad] and distance [m] and the lens (3,) [m] before it."""
     joint = arm.camera_joint
-    rotation = placed.rotation[joint] @ arm.camera_rotation
-    lens = placed.translation[joint] + placed.rotation[joint] @ arm.camera_position
+    rotation, lens = np.zeros((3, 3)), placed.translation[joint].copy()
+    # a compiled `@` would need scipy, which an installed deltaq does not have
+    for row in range(3):
+        for k in range(3):
+            turned = placed.rotation[joint, row, k]
+            lens[row] += turned * arm.camera_position[k]
+            for column in range(3):
+                rotation[row, column] += turned * arm.camera_rotation[k, column]
     view = look(rotation, lens, focus)
     twists = np.empty((6, len(q)))
     for i in range(len(q)):
