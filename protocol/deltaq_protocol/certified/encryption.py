@@ -15,8 +15,7 @@ from deltaq_protocol.certified.names import (
     IdentityError,
 )
 from deltaq_protocol.endpoint import Endpoint
-
-_HLI = "hli"
+from deltaq_protocol.sayings import HLI
 
 
 def tls_settings(folder: Path) -> dict[str, Any]:
@@ -74,6 +73,6 @@ def _folder(named: str | os.PathLike[str] | None) -> Path | None:
     if named:
         return Path(named)
     if services := os.environ.get(IDENTITY):
-        own = Path(services) / _HLI
+        own = Path(services) / HLI
         return own if own.is_dir() else Path(services)
     return None
