@@ -73,6 +73,12 @@ class Emulator:
         self._link = _udp_socket()
         self._strangers = Strangers(server)
         self._panel_socket = None if panel is None else _udp_socket()
+        if self._panel_socket is not None and panel is not None:
+            try:  # before the link, which may be given any free port
+                self._panel_socket.bind(panel)
+            except OSError as error:
+                self.close()
+                raise SocketError(f"cannot listen on {panel[0]}:{panel[1]}: {error}") from error
         try:
             if address is not None:
                 self._link.bind((address, 0))
@@ -82,12 +88,6 @@ class Emulator:
             self.close()
             sender = "" if address is None else f"from {address} "
             raise SocketError(f"cannot send {sender}to {server[0]}:{server[1]}: {error}") from error
-        if self._panel_socket is not None and panel is not None:
-            try:
-                self._panel_socket.bind(panel)
-            except OSError as error:
-                self.close()
-                raise SocketError(f"cannot listen on {panel[0]}:{panel[1]}: {error}") from error
 
     def _all_counts(self) -> dict[str, int]:
         return self.counts | {"forgeries_lost": self._strangers.lost}

@@ -27,7 +27,7 @@ robots:
     server: tcp/127.0.0.1:7451
     driver:
       {kind: rsi, address: 127.0.0.1, port: 49152, ethernet_xml: gr_ethernet.xml, krc: krc2,
-       control_port: 49252, outputs: {gripper: Do.O1}, stop: Stop}
+       control_port: 28152, outputs: {gripper: Do.O1}, stop: Stop}
     base: {position_m: [-0.402, 0.486, 0.0], rpy_deg: [0, 0, -90]}
     mounted_on: [floor]
     joints:

@@ -24,6 +24,9 @@ from deltaq_launch.services import ListeningSocket, Role, Service, cell_services
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.log import json_line
 
+LEAST_GIVEN_PORT = 32768
+"""Linux gives a socket that asks for no port one from here on, unless told otherwise (`ip_local_port_range`)."""
+
 SERVES = "import signal; print('ready: here', flush=True); signal.pause()"
 STUBBORN = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN);" + SERVES
 DIES = "import sys; print('no such cell'); sys.exit(3)"
@@ -285,6 +288,12 @@ def test_a_signal_that_does_not_wake_the_launcher_is_heeded_all_the_same() -> No
         elsewhere.start()
         assert launcher.wait() == Interrupted(signal.SIGTERM)  # for ever, if it is lost
         elsewhere.join()
+
+
+def test_no_port_of_the_lab_but_those_of_rsi_is_one_that_a_socket_may_be_given() -> None:
+    listeners = [each for service in cell_services(load_cell("lab"), "lab") for each in service.listens]
+    given = [each.field for each in listeners if each.port >= LEAST_GIVEN_PORT]
+    assert given == ["robots.fr.driver.port", "robots.gr.driver.port"]  # as in KUKA's examples
 
 
 def test_an_hli_with_datagrams_needs_its_port_over_both() -> None:

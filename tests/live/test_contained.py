@@ -32,7 +32,7 @@ pytestmark = [
         not is_allowed() or bool(why_none()), reason="no view or network of its own is allowed here"
     ),
 ]
-PANEL = ("127.0.0.1", 49252)
+PANEL = ("127.0.0.1", 28152)
 HLI = "tcp/127.0.0.1:7447"
 MOVES = """
 import sys
