@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import zenoh
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_launch.private_cell import write_private_cell
@@ -197,9 +198,10 @@ class SealedRealm:
         self.put(topics.COMMAND, Command(id=self._id, epoch=self.sim.epoch, cycles=cycles, **fields))
 
     def put(self, topic: topics.Topic, message: Message, **fields: str) -> None:
-        """Publish as the HLI."""
+        """Publish as the HLI; a message that a busy machine let fall would be waited for for ever."""
         key = topic.key(self.description.cell, **fields)
-        self._hli.put(key, self._seal.close(key, pack(message)))
+        block = zenoh.CongestionControl.BLOCK
+        self._hli.put(key, self._seal.close(key, pack(message)), congestion_control=block)
 
     def pump(self) -> None:
         """Let the gate, the HLI and the Robot Servers take what has come."""
