@@ -147,7 +147,7 @@ KRC_FILES = [
     ([('INDX="2" UNIT="0" HOLDON="1"', 'INDX="2" UNIT="0" HOLDON="0"')], [], "ethernet_xml", 0, 1, "error",
      "mine_ethernet.xml: RECEIVE/AK.A2: HOLDON is 0"),
     ([("DEF_ASPos", "DEF_RSol")], [], "ethernet_xml", None, None, "warning", "SEND/DEF_ASPos: is missing"),
-    ([], [("control_port: 28152, stop: Stop", "control_port: 49252, stop: Halt")], "stop", "Halt",
+    ([], [("control_port: 28152, stop: Stop", "control_port: 28152, stop: Halt")], "stop", "Halt",
      "Stop", "error", "RECEIVE/Halt: no BOOL has that TAG"),
     ([], [("address: 127.0.0.1, port: 49152", "address: 192.168.10.20, krc_address: 192.168.10.30, port: 49152")],
      "address", "192.168.10.10", "192.168.10.20", "error", "CONFIG/IP_NUMBER: is 192.168.10.10"),

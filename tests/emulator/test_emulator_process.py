@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import RSIPI
 import yaml
+from networks import own_network
 
 from deltaq_cell.description import RobotDescription, RsiDescription
 from deltaq_cell.load import find_cell, load_cell, resolve_near
@@ -25,6 +26,18 @@ pytestmark = pytest.mark.service
 
 PATIENCE_S = 30.0
 PEER = Path(__file__).parents[1] / "support" / "rsipi_peer.py"
+GIVEN_PORTS = (28152, 28153)
+"""All that the system may give, and the first is the panel's: a link made before it would take it every second time."""
+STARTS_AND_ENDS = f"""
+from deltaq_emulator.__main__ import build
+from deltaq_emulator.context import NOTHING
+from deltaq_emulator.settings import SHIPPED, KrcSettings
+from deltaq_emulator.shell import Emulator
+
+krc, driver = build("lab", "fr", KrcSettings.load(SHIPPED), NOTHING)
+for _ in range(20):
+    Emulator("fr", krc, (driver.address, driver.port), (driver.address, {GIVEN_PORTS[0]})).close()
+"""
 
 
 class Emulated:
@@ -223,6 +236,41 @@ def test_a_second_controller_sends_from_an_address_of_its_own(tmp_path: Path) ->
             while len(senders) < 2:
                 senders.add(sock.recvfrom(4096)[1][0])
         assert senders == {"127.0.0.1", "127.0.0.7"}
+
+
+def test_an_emulator_is_never_given_its_own_panels_port_for_its_link() -> None:
+    network = own_network()
+    if network is None:
+        pytest.skip("no network namespace is allowed here, and the test sets which ports the system gives")
+    given = ["sh", "-c", 'echo "$0" >/proc/sys/net/ipv4/ip_local_port_range && exec "$@"']
+    done = subprocess.run(
+        [*network, *given, f"{GIVEN_PORTS[0]} {GIVEN_PORTS[1]}", sys.executable, "-c", STARTS_AND_ENDS],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_panel_whose_port_is_taken_is_said_in_one_line(tmp_path: Path) -> None:
+    cell = write_private_cell(tmp_path)
+    with socket.socket(type=socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        port = taken.getsockname()[1]
+        done = subprocess.run(
+            [
+                *(sys.executable, "-m", "deltaq_emulator"),
+                *("--cell", str(cell), "--robot", "fr", "--panel", f"127.0.0.1:{port}"),
+            ],
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE_S,
+            check=False,
+        )
+    assert done.returncode == 2
+    assert f"cannot listen on 127.0.0.1:{port}: " in done.stderr
+    assert "Traceback" not in done.stderr
 
 
 def test_an_interrupt_ends_it_cleanly(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.log import json_line
 
 LEAST_GIVEN_PORT = 32768
-"""Linux gives a socket that asks for no port one from here on, unless told otherwise (`ip_local_port_range`)."""
+"""Linux gives sockets that ask for no port one from here on. Not asked of this machine: the file is for any."""
 
 SERVES = "import signal; print('ready: here', flush=True); signal.pause()"
 STUBBORN = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN);" + SERVES

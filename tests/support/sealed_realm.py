@@ -198,7 +198,7 @@ class SealedRealm:
         self.put(topics.COMMAND, Command(id=self._id, epoch=self.sim.epoch, cycles=cycles, **fields))
 
     def put(self, topic: topics.Topic, message: Message, **fields: str) -> None:
-        """Publish as the HLI; a message that a busy machine let fall would be waited for for ever."""
+        """Publish as the HLI, never dropped where the link is blocked: what comes of it is awaited."""
         key = topic.key(self.description.cell, **fields)
         block = zenoh.CongestionControl.BLOCK
         self._hli.put(key, self._seal.close(key, pack(message)), congestion_control=block)

@@ -45,7 +45,8 @@ class RsiDescription(DescriptionModel):
     """Get each reply ready before its telegram: it goes out seven times sooner, for .7 ms of processor a cycle. For
     machines with a core to spare; a KRC waits for a reply as long as a cycle."""
     control_port: Annotated[int, Field(ge=1, le=65535)] | None = None
-    """The emulator's operator panel listens here; a real KRC has none."""
+    """The emulator's operator panel listens here; a real KRC has none. Best a port that the system gives to no socket
+    that asks for none: on Linux one below 32768."""
 
     @model_validator(mode="after")
     def _listens_to_one_krc(self) -> Self:
