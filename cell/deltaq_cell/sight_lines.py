@@ -99,7 +99,13 @@ class SightLines:
         ]
         return tuple(self.names[index] for index in blocking)
 
-    def _touches(self, rod: coal.Capsule, pose: coal.Transform3s, index: int) -> bool:
+    def bodies_at(self, point: Array) -> tuple[str, ...]:
+        """Names of the bodies at a point (3,) in the world, or nearer to it than a line of sight would come [m]."""
+        near = np.flatnonzero(np.linalg.norm(self._centres - point, axis=1) < self._radii + NEAR_TARGET_M)
+        ball, pose = coal.Sphere(NEAR_TARGET_M), coal.Transform3s(np.eye(3), point)
+        return tuple(self.names[index] for index in near.tolist() if self._touches(ball, pose, index))
+
+    def _touches(self, shape: coal.Capsule | coal.Sphere, pose: coal.Transform3s, index: int) -> bool:
         body = self._bodies[index]
         where = body.placement
         for placed in self._robots.values():
@@ -107,7 +113,7 @@ class SightLines:
                 where = placed.data.oMi[body.parentJoint] * where
         place = coal.Transform3s(where.rotation, where.translation)
         self._result.clear()
-        return bool(coal.collide(rod, pose, body.geometry, place, self._request, self._result))
+        return bool(coal.collide(shape, pose, body.geometry, place, self._request, self._result))
 
 
 def _rod(begin: Array, end: Array) -> tuple[coal.Capsule, coal.Transform3s]:

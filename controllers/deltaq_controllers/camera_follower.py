@@ -20,6 +20,7 @@ from deltaq_controllers.camera.aim import TOOL
 from deltaq_controllers.camera.controllers import NAMES, camera_controller_named
 from deltaq_controllers.camera.in_use import CameraInUse
 from deltaq_controllers.camera.move_to_start import MoveToStart
+from deltaq_controllers.camera.outlook import Outlook
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.camera.sightings import Sightings
 from deltaq_controllers.clock_reading import ClockReading
@@ -28,10 +29,9 @@ from deltaq_controllers.interface import View
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.live import cell_model, drive, run
 from deltaq_controllers.statistics import ControlStatistics, ErrorStatistics
-from deltaq_controllers.surroundings.setpoints import Foreseen
 from deltaq_protocol import connect
 from deltaq_protocol.client import DEFAULT_ADDRESS
-from deltaq_protocol.messages import Sight
+from deltaq_protocol.messages import Sight, ViewTarget
 
 _log = logging.getLogger(__name__)
 
@@ -49,6 +49,7 @@ class FollowerProcess:
         self._angle, self._distance, self._age = ErrorStatistics(), ErrorStatistics(), ErrorStatistics()
         self._began_s: float | None = None
         self._sightings = Sightings()
+        self._target: ViewTarget | None = None
         self._reading: ClockReading | None = None
 
     async def follow(self) -> None:
@@ -67,7 +68,7 @@ class FollowerProcess:
                 for name in model.robots
                 if name != options.robot
             }
-            camera = CameraInUse(cameras, options.leader)
+            camera = CameraInUse(cameras, options.leader, Outlook(model, options.robot))
             limits = IncrementLimits.of(scene.robot, scene.cycle_s)
             start = None if options.start is None else np.array(options.start)
             move_to_start = MoveToStart(camera, limits, start, options.distances_m or (), options.hold_s)
@@ -78,14 +79,14 @@ class FollowerProcess:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(None) as timeout:
                     watch = partial(self._watch, camera, move_to_start, timeout)
-                    sight = partial(_sight_of, camera, move_to_start)
+                    seen = partial(_seen, camera, move_to_start)
                     await drive(
                         cell,
                         options.robot,
                         controller,
                         self._statistics,
                         watch,
-                        sight,
+                        seen,
                         camera.take,
                         self._reading,
                     )
@@ -102,7 +103,7 @@ class FollowerProcess:
             if options.duration_s is not None:
                 timeout.reschedule(asyncio.get_running_loop().time() + options.duration_s)
         if camera.leader_seen is not None:
-            self._look(camera.leader, camera.leader_seen, view.own.time_s)
+            self._look(camera, camera.leader_seen.age_s, view.own.time_s)
         if self._reading is not None:
             age_s = self._reading.clocks.age_s(options.robot, other.time_s, time.monotonic())
             if age_s is not None:
@@ -112,12 +113,19 @@ class FollowerProcess:
         self._angle.add(angle, settled)
         self._distance.add(distance, settled)
 
-    def _look(self, name: str, leader: Foreseen, time_s: float) -> None:
-        """Count how well the controller sees the leader, and say so when it changes."""
-        if self._sightings.add(leader.sight, leader.age_s, time_s):
-            level = logging.INFO if leader.sight is Sight.FRESH else logging.WARNING
-            told = "seen again" if leader.sight is Sight.FRESH else leader.sight
-            _log.log(level, "%s: %s, its state is %.2f s old", name, told, leader.age_s)
+    def _look(self, camera: CameraInUse, age_s: float, time_s: float) -> None:
+        """Count how well the controller sees its target, and say when that or the target changes."""
+        sight, target = camera.sight, camera.target
+        if sight is not None and self._sightings.add(sight, age_s, time_s):
+            level = logging.INFO if sight is Sight.FRESH else logging.WARNING
+            told = "seen again" if sight is Sight.FRESH else sight.value
+            if sight is Sight.HIDDEN:
+                told += f" by {', '.join(camera.hidden_by)}"
+            _log.log(level, "%s: %s, its state is %.2f s old", camera.leader, told, age_s)
+        if target != self._target:
+            if self._target is not None:
+                _log.info("looks at %s", target.words())
+            self._target = target
 
     @property
     def robot(self) -> str:
@@ -141,11 +149,9 @@ class FollowerProcess:
         }
 
 
-def _sight_of(camera: CameraInUse, move_to_start: MoveToStart) -> Sight | None:
-    """How well a controller sees the leader, once it looks at it."""
-    if move_to_start.began_s is None or camera.leader_seen is None:
-        return None
-    return camera.leader_seen.sight
+def _seen(camera: CameraInUse, move_to_start: MoveToStart) -> tuple[Sight | None, ViewTarget | None]:
+    """How well a controller sees what it looks at, and what that is, once it looks at it."""
+    return (None, None) if move_to_start.began_s is None else (camera.sight, camera.target)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -25,7 +25,7 @@ from deltaq_protocol import log
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
-from deltaq_protocol.messages import Description, Sight, ViewWish
+from deltaq_protocol.messages import Description, Sight, ViewTarget, ViewWish
 
 _log = logging.getLogger(__name__)
 
@@ -72,7 +72,7 @@ async def drive(
     controller: Controller,
     statistics: ControlStatistics,
     watch: Callable[[View], None] | None = None,
-    sight: Callable[[], Sight | None] | None = None,
+    seen: Callable[[], tuple[Sight | None, ViewTarget | None]] | None = None,
     wished: Callable[[ViewWish | None], None] | None = None,
     reading: ClockReading | None = None,
 ) -> None:
@@ -87,7 +87,7 @@ async def drive(
         controller: makes the increments.
         statistics: counts the verdicts.
         watch: called with each view.
-        sight: says how well the controller sees what it follows, for others to read.
+        seen: says how well the controller sees what it looks at, and what that is, for others to read.
         wished: called with the view that the robot's states ask for.
         reading: of the robots' clocks; None for one of its own.
 
@@ -106,7 +106,8 @@ async def drive(
                     if watch is not None:
                         watch(view)
                     dq = controller.increment(view)
-                    leased.sight = None if sight is None else sight()
+                    if seen is not None:
+                        leased.sight, leased.target = seen()
                     await answers.send(state, cycle, dq)
                 for verdict in answers.verdicts():
                     statistics.add(verdict)

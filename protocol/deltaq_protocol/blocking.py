@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import atexit
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from types import TracebackType
 from typing import TypeVar
@@ -36,6 +36,7 @@ from deltaq_protocol.messages import (
     Status,
     Verdict,
     ViewReply,
+    ViewTarget,
 )
 from deltaq_protocol.opening import Opening
 from deltaq_protocol.subscriptions import SILENCE_S
@@ -194,9 +195,11 @@ class BlockingCell:
         leader: str | None = None,
         aim_offset_m: ArrayLike | None = None,
         focus_m: ArrayLike | None = None,
+        targets: Sequence[ViewTarget] | None = None,
     ) -> ViewReply:
         """Ask the controller that follows with a robot's camera for another view; see `Cell.view`."""
-        return self._background.run(self._cell.view(robot, distance_m, leader, aim_offset_m, focus_m))
+        asked = self._cell.view(robot, distance_m, leader, aim_offset_m, focus_m, targets)
+        return self._background.run(asked)
 
     def allow_contact(self, contact: str, allowed: bool = True) -> Done:
         """Let bodies touch, or forbid it again; see `Cell.allow_contact`."""

@@ -20,7 +20,7 @@ import atexit
 import os
 import time
 from collections import Counter
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 
 import numpy as np
@@ -50,6 +50,7 @@ from deltaq_protocol.messages import (
     Verdict,
     ViewReply,
     ViewRequest,
+    ViewTarget,
 )
 from deltaq_protocol.opening import Opening
 from deltaq_protocol.role_prover import RoleProver, role_prover
@@ -160,6 +161,7 @@ class Cell:
         leader: str | None = None,
         aim_offset_m: ArrayLike | None = None,
         focus_m: ArrayLike | None = None,
+        targets: Sequence[ViewTarget] | None = None,
     ) -> ViewReply:
         """Ask the controller that follows with a robot's camera for another view; omitted values do not change.
 
@@ -169,6 +171,7 @@ class Cell:
             leader: robot whose tool the camera looks at.
             aim_offset_m: (3,) the target in the frame of that tool [m].
             focus_m: (3,) a target that stands still, in the world [m].
+            targets: in place of the three above: the camera looks at the first of them that it can see.
 
         Raises:
             RefusedError: the robot has no camera, there is no such leader, or `not_permitted` without a
@@ -182,7 +185,14 @@ class Cell:
             for name, point in (("aim_offset_m", aim_offset_m), ("focus_m", focus_m))
             if point is not None
         }
-        fields = {"robot": self._heard.known(robot), "client": self._client, **wish, **points}
+        asked = None if targets is None else [target.model_dump(exclude_none=True) for target in targets]
+        fields = {
+            "robot": self._heard.known(robot),
+            "client": self._client,
+            **wish,
+            **points,
+            "targets": asked,
+        }
         request = from_map(ViewRequest, fields)
         return await self._asking.ask_with_role(ViewReply, topics.VIEW, request, robot)
 

@@ -10,7 +10,7 @@ import zenoh
 from deltaq_protocol import topics
 from deltaq_protocol.codec import pack
 from deltaq_protocol.errors import ServiceUnreachableError
-from deltaq_protocol.messages import EarlierIncrement, Increment, Sight
+from deltaq_protocol.messages import EarlierIncrement, Increment, Sight, ViewTarget
 from deltaq_protocol.proof import Prover
 from deltaq_protocol.stamps import StampStation, stamps_if_asked
 from deltaq_protocol.wire import Wire
@@ -44,7 +44,9 @@ class IncrementsOut:
         if self._stamps is not None:
             self._stamps.add(StampStation.STATE_AT_CLIENT, self._robot, cycle)
 
-    def send(self, dq: Iterable[float], seq: int, cycle: int, sight: Sight | None) -> None:
+    def send(
+        self, dq: Iterable[float], seq: int, cycle: int, sight: Sight | None, target: ViewTarget | None
+    ) -> None:
         """Send the increment `dq` (n,) [rad or m] in answer to the state of a cycle.
 
         Raises:
@@ -57,6 +59,7 @@ class IncrementsOut:
             cycle=cycle,
             dq=tuple(float(element) for element in dq),
             sight=sight,
+            target=target,
             earlier=tuple(self._earlier),
         )
         self._earlier.append(EarlierIncrement.model_construct(seq=seq, cycle=cycle, dq=increment.dq))

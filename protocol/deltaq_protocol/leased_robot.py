@@ -26,6 +26,7 @@ from deltaq_protocol.messages import (
     RobotSummary,
     Sight,
     Verdict,
+    ViewTarget,
 )
 from deltaq_protocol.newest import Newest
 from deltaq_protocol.reasons import ReasonCode
@@ -44,7 +45,8 @@ class LeasedRobot:
         name: of the robot.
         summary: its joints, units and limits.
         lease: the right to move it.
-        sight: how well the controller sees what it follows, which every increment says; None to say nothing.
+        sight: how well the controller sees what it looks at, which every increment says; None to say nothing.
+        target: what it looks at, the same.
     """
 
     def __init__(
@@ -61,6 +63,7 @@ class LeasedRobot:
         self.name = name
         self.summary = summary
         self.sight: Sight | None = None
+        self.target: ViewTarget | None = None
         self._wire = wire
         self._cell = cell
         self.lease = HeldLease(wire, cell, name, granted)
@@ -110,7 +113,7 @@ class LeasedRobot:
         verdicts: asyncio.Queue[Verdict] = asyncio.Queue()
         self._awaited[seq] = verdicts
         try:
-            self._out.send(dq, seq, state.cycle, self.sight)
+            self._out.send(dq, seq, state.cycle, self.sight, self.target)
             async with asyncio.timeout(VERDICT_DEADLINE_S):
                 return await self._own(verdicts)
         except TimeoutError:
@@ -135,7 +138,7 @@ class LeasedRobot:
         self._awaited[seq] = verdicts
         give_up_s = time.monotonic() + VERDICT_DEADLINE_S
         try:
-            self._out.send(dq, seq, state.cycle, self.sight)
+            self._out.send(dq, seq, state.cycle, self.sight, self.target)
             while True:
                 verdict = verdicts.get(timeout=max(0.0, give_up_s - time.monotonic()))
                 if not _is_about_lease(verdict):
@@ -176,7 +179,8 @@ class LeasedRobot:
             raise self._without_state()
         seq = next(self._seqs)
         self._verdicts.expect(seq)
-        self._out.send(dq, seq, state.cycle if cycle is None else cycle, self.sight)
+        answers = state.cycle if cycle is None else cycle
+        self._out.send(dq, seq, answers, self.sight, self.target)
         return seq
 
     async def verdicts(self) -> AsyncIterator[Verdict]:

@@ -9,14 +9,15 @@ import pytest
 from closed_loop import CYCLE_S, lab, limit_violations
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_cell.description import Pose
+from deltaq_cell.description import Body, Pose
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.camera.controllers import camera_controller_named
 from deltaq_controllers.camera.in_use import CameraInUse
+from deltaq_controllers.camera.outlook import Outlook
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import RobotView, View
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.messages import ViewWish
+from deltaq_protocol.messages import Sight, ViewTarget, ViewWish
 
 AIDE_HOME = np.deg2rad([60.0, -80.0, 90.0, 0.0, 30.0, 0.0])
 
@@ -32,21 +33,35 @@ def three() -> CellModel:
     return CellModel.of(description, robots)
 
 
+class Curtain(Outlook):
+    """What hides targets from the follower in a cell, and for as long as the curtain is open, in one without it."""
+
+    def __init__(self, drawn: CellModel) -> None:
+        super().__init__(drawn, "fr")
+        self.open, self._open = False, Outlook(three(), "fr")
+
+    def hidden_by(self, view: View, target: ViewTarget) -> tuple[str, ...]:
+        return self._open.hidden_by(view, target) if self.open else super().hidden_by(view, target)
+
+
 class Loop:
     """The follower among robots that stand, in plain kinematics."""
 
-    def __init__(self, name: str) -> None:
-        cell = three()
+    def __init__(self, name: str, cell: CellModel | None = None) -> None:
+        cell = cell or three()
         scenes = {leader: Scene(cell, "fr", leader) for leader in ("gr", "aide")}
         cameras = {leader: camera_controller_named(name, scene, 1.25) for leader, scene in scenes.items()}
-        self.camera = CameraInUse(cameras, "gr")
+        self.curtain = Curtain(cell)
+        self.camera = CameraInUse(cameras, "gr", self.curtain)
         self.robot, self.q, self.dq = cell.robots["fr"], np.array(cell.robots["fr"].home), np.zeros(6)
         self.others = {"gr": np.array(cell.robots["gr"].home), "aide": AIDE_HOME}
+        self.silent: set[str] = set()
         self.cycle = self.violations = 0
 
     def run(self, time_s: float, wish: ViewWish | None = None) -> Loop:
         for _ in range(round(time_s / CYCLE_S)):
-            others = {name: self._seen(q) for name, q in self.others.items()}
+            heard = {name: q for name, q in self.others.items() if name not in self.silent}
+            others = {name: self._seen(q) for name, q in heard.items()}
             self.camera.take(wish)
             dq = self.camera.increment(View(self._seen(self.q), others))
             self.violations += limit_violations(self.robot, self.q, dq, self.dq)
@@ -109,10 +124,102 @@ def test_a_wish_that_was_taken_is_not_taken_again() -> None:
 def test_a_wish_for_a_distance_leaves_a_point_that_it_was_started_with() -> None:
     point = np.array([0.0, -0.8, 1.2])
     camera = camera_controller_named("qp", Scene(lab(), "fr", "gr"), 1.25, point)
-    in_use = CameraInUse({"gr": camera}, "gr")
+    in_use = CameraInUse({"gr": camera}, "gr", Outlook(lab(), "fr"))
     q_leader = lab().robots["gr"].home
     before = in_use.errors(lab().robots["fr"].home, q_leader)[0]
     in_use.take(ViewWish(distance_m=1.0))
     assert in_use.errors(lab().robots["fr"].home, q_leader)[0] == before
     in_use.take(ViewWish(leader="gr"))
     assert in_use.errors(lab().robots["fr"].home, q_leader)[0] != before
+
+
+def curtained(size_m: tuple[float, float, float] = (3.0, 0.1, 2.0)) -> CellModel:
+    """The three with a curtain half way between the follower's lens and the leader's tool, all at home."""
+    cell = three()
+    lens = cell.robots["fr"].camera_pose(cell.robots["fr"].home)[:3, 3]
+    centre = 0.5 * (lens + Scene(cell, "fr", "gr").focus_at(cell.robots["gr"].home))
+    curtain = Body.model_validate(
+        {"shape": {"kind": "box", "size_m": size_m}, "pose": {"position_m": centre.tolist()}}
+    )
+    structure = {**cell.description.structure, "curtain": curtain}
+    return CellModel.of(cell.description.model_copy(update={"structure": structure}), cell.robots)
+
+
+GR, AIDE = ViewTarget(leader="gr"), ViewTarget(leader="aide")
+BOTH = ViewWish(distance_m=1.25, targets=(GR, AIDE))
+
+
+@pytest.mark.parametrize("name", ["paper", "qp"])
+def test_of_two_targets_the_more_important_one_is_watched_while_it_is_seen(name: str) -> None:
+    loop = Loop(name).run(3.0, BOTH)
+    assert loop.camera.target == GR
+    assert loop.camera.sight is Sight.FRESH
+    assert loop.looks_at(loop.tool("gr"))[0] < 0.5
+    assert loop.violations == 0
+
+
+@pytest.mark.parametrize("name", ["paper", "qp"])
+def test_a_target_that_is_hidden_is_left_for_the_next_and_returned_to_without_a_jump(name: str) -> None:
+    loop = Loop(name, curtained()).run(0.4, BOTH)
+    assert loop.camera.target == GR, "an arm that passes by is waited for"
+    loop.run(3.5, BOTH)
+    assert loop.camera.target == AIDE
+    assert loop.looks_at(loop.tool("aide"))[0] < 1.0
+    loop.curtain.open = True
+    loop.run(3.5, BOTH)
+    assert loop.camera.target == GR
+    assert loop.camera.sight is Sight.FRESH
+    assert loop.looks_at(loop.tool("gr"))[0] < 1.0
+    assert loop.violations == 0
+
+
+@pytest.mark.parametrize("name", ["paper", "qp"])
+def test_a_target_that_is_seen_only_from_where_another_is_watched_is_tried_less_and_less_often(
+    name: str,
+) -> None:
+    loop, turned, before = Loop(name, curtained((0.5, 0.5, 0.3))), [], GR
+    for _ in range(600):
+        if (now := loop.run(0.1, BOTH).camera.target) != before:
+            turned.append(loop.cycle * CYCLE_S)
+            before = now
+    to_gr = np.diff(turned[1::2])
+    assert len(to_gr) >= 3, "the camera sees the leader from where it watches the aide"
+    assert (np.diff(to_gr) > 0.5).all()
+    assert loop.violations == 0
+
+
+def test_a_target_alone_that_is_hidden_is_kept_and_told_with_what_hides_it() -> None:
+    loop = Loop("qp", curtained()).run(0.1)
+    assert loop.camera.sight is Sight.FRESH
+    loop.run(0.6)
+    assert loop.camera.sight is Sight.HIDDEN
+    assert loop.camera.hidden_by == ("structure/curtain",)
+    assert loop.camera.target.leader == "gr"
+
+
+def test_a_robot_that_is_not_heard_is_no_target_to_look_at() -> None:
+    loop = Loop("qp")
+    loop.silent.add("aide")
+    loop.run(1.5, ViewWish(targets=(AIDE, GR)))
+    assert loop.camera.target == GR
+    loop.silent.clear()
+    loop.run(1.5, ViewWish(targets=(AIDE, GR)))
+    assert loop.camera.target == AIDE
+
+
+def test_another_distance_does_not_make_the_camera_look_elsewhere() -> None:
+    loop = Loop("qp", curtained()).run(2.0, BOTH)
+    assert loop.camera.target == AIDE
+    loop.run(0.1, BOTH.model_copy(update={"distance_m": 1.0}))
+    assert loop.camera.target == AIDE
+    assert loop.camera.desired_distance_m == 1.0
+
+
+def test_after_several_targets_a_robot_is_looked_at_where_the_follower_was_started_to() -> None:
+    offset_m = (0.0, 0.0, 0.04)
+    camera = camera_controller_named("qp", Scene(lab(), "fr", "gr", offset_m), 1.25)
+    in_use = CameraInUse({"gr": camera}, "gr", Outlook(lab(), "fr"))
+    in_use.take(ViewWish(targets=(ViewTarget(focus_m=(0.0, -0.8, 1.2)), GR)))
+    assert in_use.target == ViewTarget(focus_m=(0.0, -0.8, 1.2))
+    in_use.take(ViewWish(leader="gr"))
+    assert in_use.target == ViewTarget(leader="gr", aim_offset_m=offset_m)

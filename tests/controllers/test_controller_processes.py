@@ -24,7 +24,7 @@ from deltaq_protocol.blocking import connect
 from deltaq_protocol.client import Cell
 from deltaq_protocol.codec import InvalidMessageError
 from deltaq_protocol.errors import RefusedError
-from deltaq_protocol.messages import Outcome, RobotState, ToolPose, Verdict
+from deltaq_protocol.messages import Outcome, RobotState, Sight, ToolPose, Verdict, ViewTarget
 
 pytestmark = pytest.mark.live
 
@@ -115,6 +115,33 @@ def test_a_running_follower_takes_another_distance_and_another_target(url: str) 
     assert summary["robot"] == "fr", "the cell's first with a camera"
 
 
+def test_a_running_follower_turns_from_a_target_that_is_hidden_to_the_next_and_says_so(url: str) -> None:
+    under_the_deck = ViewTarget(focus_m=(-0.55, -2.2, 0.3))
+    with connect(url, client="operator") as cell:
+        cell.view("fr", targets=[under_the_deck, ViewTarget(leader="gr")])
+        follower = start(FOLLOWER, "--url", url, "--controller", "qp")
+        try:
+            told: list[tuple[ViewTarget, Sight | None]] = []
+            for state in cell.states("fr"):
+                assert follower.poll() is None
+                if state.target is not None and (state.target, state.sight) not in told:
+                    told.append((state.target, state.sight))
+                if state.target == ViewTarget(leader="gr"):
+                    break
+            cell.view("fr", leader="gr")
+            follower.send_signal(signal.SIGTERM)
+            out, err = follower.communicate(timeout=300)
+        finally:
+            follower.kill()
+            follower.communicate()
+    hidden = [(under_the_deck, Sight.FRESH), (under_the_deck, Sight.HIDDEN)]
+    assert told == [*hidden, (ViewTarget(leader="gr"), Sight.FRESH)]
+    assert follower.returncode == 0, err
+    assert "view_hidden by structure/deck" in out
+    assert "looks at gr" in out
+    assert json.loads(out.splitlines()[-1])["view"]["view_hidden"] > 0
+
+
 def test_the_camera_follows_the_leader_over_real_processes_and_both_end_when_told(url: str) -> None:
     leader = start(LEADER, "--url", url, "--seed", "1")
     follower = start(FOLLOWER, "--url", url, "--duration-s", "6", "--settle-s", "3")
@@ -145,7 +172,7 @@ def test_the_camera_follows_the_leader_over_real_processes_and_both_end_when_tol
     for clock in view["clocks"].values():
         assert abs(clock["offset_s"]) <= clock["error_s"] + 0.1
     assert view["age_s"]["max"] >= view["age_s"]["rms"] >= 0.0
-    assert set(view) == {"fresh", "view_stale", "view_lost", "changes", "age_s", "clocks"}
+    assert set(view) == {"fresh", "view_stale", "view_lost", "view_hidden", "changes", "age_s", "clocks"}
     assert followed["distance_m"]["max"] < 1.0
 
 

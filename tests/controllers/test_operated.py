@@ -8,6 +8,7 @@ from advising import advised
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.advisor.problem import AdvisorError
 from deltaq_controllers.camera.in_use import CameraInUse
+from deltaq_controllers.camera.outlook import Outlook
 from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.modes.motion import ModeName
 from deltaq_controllers.modes.teleoperator import Teleoperator
@@ -30,6 +31,10 @@ class Follower:
 
     def increment(self, view):
         return self.dq
+
+
+def follower():
+    return CameraInUse({"gr": Follower(6)}, "gr", Outlook(CellModel.load("lab"), "fr"))
 
 
 def no_camera():
@@ -162,7 +167,7 @@ def test_a_mode_that_could_not_be_prepared_is_refused_with_why_until_it_can_be()
     def make():
         if not compiled:
             raise ControllerError("the camera controller is being compiled")
-        return CameraInUse({"gr": Follower(6)}, "gr")
+        return follower()
 
     bench = Bench(make)
     for _ in range(2):
@@ -178,7 +183,7 @@ def test_a_mode_that_could_not_be_prepared_is_refused_with_why_until_it_can_be()
 
 
 def test_between_a_mode_and_the_follower_the_robot_is_at_rest():
-    bench = Bench(lambda: CameraInUse({"gr": Follower(6)}, "gr"))
+    bench = Bench(follower)
     bench.cycles(2)
     bench.wishes(joints=JOG)
     bench.cycles(10)
@@ -202,14 +207,14 @@ def test_between_a_mode_and_the_follower_the_robot_is_at_rest():
 
 
 def test_a_view_that_was_wished_for_before_is_what_the_camera_follows_with():
-    bench = Bench(lambda: CameraInUse({"gr": Follower(6)}, "gr"))
+    bench = Bench(follower)
     bench.pilot.take_view(ViewWish(distance_m=1.7))
     bench.pilot.prepare(DrivingMode.FOLLOW)
     assert bench.pilot.report(DriverStage.LEASED).distance_m == 1.7
 
 
 def test_a_stop_ends_the_following():
-    bench = Bench(lambda: CameraInUse({"gr": Follower(6)}, "gr"))
+    bench = Bench(follower)
     bench.pilot.prepare(DrivingMode.FOLLOW)
     bench.pilot.change_mode(DrivingMode.FOLLOW, "world")
     bench.cycles(5)

@@ -169,6 +169,7 @@ def test_a_snapshot_leaves_out_nothing_but_what_is_fixed_and_what_is_counted():
         "playout",
         "_carried",
         "sight",
+        "target",
         "view",
     }
     assert all(set(vars(link)) == remembered | fixed for link in state.links.values())

@@ -17,6 +17,7 @@ from deltaq_protocol.messages import (
     RobotState,
     ViewReply,
     ViewRequest,
+    ViewTarget,
     ViewWish,
 )
 from deltaq_protocol.reasons import ReasonCode
@@ -81,6 +82,30 @@ class Desk(Sender):
             ReasonCode.MALFORMED,
             "focus_m: a point that stands still",
         ),
+        (
+            "fr",
+            {"targets": [{"leader": "gr"}], "leader": "fr2"},
+            ReasonCode.MALFORMED,
+            "targets: they are all that is looked at; leader,",
+        ),
+        (
+            "fr",
+            {"targets": [{"leader": "gr"}, {"leader": "fr"}]},
+            ReasonCode.MALFORMED,
+            "targets.1.leader: 'fr' is no other robot; there are gr, fr2",
+        ),
+        (
+            "fr",
+            {"targets": [{"leader": "gr"}, {"leader": "fr2", "focus_m": (0, 0, 1)}]},
+            ReasonCode.MALFORMED,
+            "targets.1.focus_m: a point that stands still",
+        ),
+        (
+            "fr",
+            {"targets": [{"aim_offset_m": (0, 0, 1)}]},
+            ReasonCode.MALFORMED,
+            "targets.0.leader: missing, and so is focus_m",
+        ),
     ],
 )
 def test_a_view_that_nobody_can_have_is_refused_and_changes_nothing(
@@ -97,7 +122,16 @@ def test_a_view_that_nobody_can_have_is_refused_and_changes_nothing(
 
 @pytest.mark.parametrize(
     "fields",
-    [{"distance_m": 0.1}, {"distance_m": 9.0}, {"distance_m": float("nan")}, {"focus_m": (0.0, 1.0)}],
+    [
+        {"distance_m": 0.1},
+        {"distance_m": 9.0},
+        {"distance_m": float("nan")},
+        {"focus_m": (0.0, 1.0)},
+        {"targets": []},
+        {"targets": [{"leader": "gr"}] * 9},
+        {"targets": [{"leader": "gr", "weight": 2}]},
+        {"targets": [{"focus_m": (0.0, 0.0, 1e9)}]},
+    ],
 )
 def test_a_view_beyond_its_bounds_is_no_message(fields: dict[str, Any]) -> None:
     with pytest.raises(InvalidMessageError, match=next(iter(fields))):
@@ -131,6 +165,20 @@ def test_a_fixed_point_ends_when_a_tool_is_to_be_looked_at_again() -> None:
     assert desk.shown() == ViewWish(distance_m=1.1, focus_m=(0.0, -1.0, 1.0)), "it does not end by itself"
     desk.ask(leader="fr2")
     assert desk.shown() == ViewWish(distance_m=1.1, leader="fr2")
+
+
+def test_several_targets_replace_each_other_target_and_end_with_the_next_of_another_kind() -> None:
+    desk = Desk()
+    desk.ask(leader="fr2", aim_offset_m=(0.0, 0.0, 0.04), distance_m=1.0)
+    targets = (ViewTarget(leader="gr"), ViewTarget(focus_m=(0.0, -1.0, 1.0)))
+    answer = desk.ask(targets=[target.model_dump() for target in targets])
+    assert answer == ViewReply(robot="fr", view=ViewWish(distance_m=1.0, targets=targets))
+    desk.ask(distance_m=1.1)
+    assert desk.shown() == ViewWish(distance_m=1.1, targets=targets), "they do not end by themselves"
+    for fields in ({"leader": "gr"}, {"aim_offset_m": (0.0, 0.0, 0.1)}, {"focus_m": (0.0, 0.0, 1.0)}):
+        desk.ask(targets=[target.model_dump() for target in targets])
+        desk.ask(**fields)
+        assert desk.shown() == ViewWish(distance_m=1.1, **fields)
 
 
 def test_a_wish_outlives_the_lease_of_who_followed_and_the_answer_says_who_does() -> None:

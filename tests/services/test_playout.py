@@ -24,6 +24,7 @@ from deltaq_protocol.messages import (
     RobotState,
     Sight,
     Verdict,
+    ViewTarget,
 )
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.asked import Asked
@@ -412,21 +413,24 @@ def test_a_link_that_is_too_slow_is_told_so_with_what_it_took_and_the_bound() ->
 def test_how_well_a_controller_sees_is_told_with_each_state_until_the_lease_ends() -> None:
     bench = Bench(playout=False)
     _, state, _ = bench.turn()
-    assert state.sight is None
-    for seq, sight in enumerate([Sight.FRESH, Sight.STALE, Sight.LOST], start=1):
-        asked = Increment(robot="fr", seq=seq, cycle=bench.cycle, dq=DQ, lease=bench.lease, sight=sight)
+    assert (state.sight, state.target) == (None, None)
+    for seq, sight in enumerate([Sight.FRESH, Sight.HIDDEN, Sight.STALE, Sight.LOST], start=1):
+        target = ViewTarget(focus_m=(0.0, 0.0, float(seq)))
+        seen = {"sight": sight, "target": target}
+        asked = Increment(robot="fr", seq=seq, cycle=bench.cycle, dq=DQ, lease=bench.lease, **seen)
         bench.core.increments.on_increment(asked, bench.client, bench.time_s)
         other = Bench(playout=False)
         other.core.restore(bench.core.snapshot())
         assert other.core.snapshot() == bench.core.snapshot()
         _, state, _ = bench.turn()
-        assert state.sight is sight
+        assert (state.sight, state.target) == (sight, target)
     foreign = Increment(robot="fr", seq=9, cycle=bench.cycle, dq=DQ, lease="another", sight=Sight.FRESH)
     bench.core.increments.on_increment(foreign, bench.client, bench.time_s)
     assert bench.turn()[1].sight is Sight.LOST, "only the holder says what is seen"
     release = LeaseRequest(robot="fr", action=LeaseAction.RELEASE, lease=bench.lease)
     bench.core.requests.on_lease(release, bench.client, bench.time_s)
-    assert bench.turn()[1].sight is None
+    state = bench.turn()[1]
+    assert (state.sight, state.target) == (None, None)
 
 
 def test_without_a_buffer_nothing_is_different() -> None:

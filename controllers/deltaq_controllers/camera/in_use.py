@@ -1,4 +1,4 @@
-"""A camera whose view follows the requests in its robot's states: distance, target, and the robot that it watches.
+"""A camera whose view follows the requests in its robot's states: distance, targets, and the robot that it watches.
 
 For each robot that can be watched there is a controller, made before anything moves: another leader costs no cycle.
 """
@@ -9,14 +9,19 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from deltaq_controllers.camera.aim import TOOL
 from deltaq_controllers.camera.controllers import Aiming, FocusController, Seeing
-from deltaq_controllers.interface import View
-from deltaq_controllers.surroundings.setpoints import Foreseen
+from deltaq_controllers.camera.outlook import Outlook
+from deltaq_controllers.camera.targets import TargetChoice, targets_of
+from deltaq_controllers.interface import RobotView, View
+from deltaq_controllers.surroundings.setpoints import LOST_S, Foreseen
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.messages import ViewWish
+from deltaq_protocol.messages import Sight, TargetPoint, ViewTarget, ViewWish
 
 LEARNING_CYCLES = 3
 """Cycles that a controller observes before it takes over, to learn how fast the robots move."""
+LOOK_S = 0.05
+"""Time between two looks for a target; each look is for one of them, in turn. A look takes .3 ms [s]."""
 
 
 class CameraInUse:
@@ -25,30 +30,40 @@ class CameraInUse:
     Args:
         cameras: the controllers by their leaders.
         leader: the robot that is watched first.
+        outlook: what hides targets from the camera.
 
     Attributes:
         leader: the robot that is watched.
         evades_below_m: of the controller in use [m].
+        hidden_by: names of the bodies that hid the target when it was looked for last.
     """
 
-    def __init__(self, cameras: Mapping[str, FocusController], leader: str) -> None:
-        self._cameras, self.leader = dict(cameras), leader
+    def __init__(self, cameras: Mapping[str, FocusController], leader: str, outlook: Outlook) -> None:
+        self._cameras, self.leader, self._outlook = dict(cameras), leader, outlook
         self._next, self._learnt_cycles = leader, 0
         self._wish: ViewWish | None = None
         self.evades_below_m = self._camera.evades_below_m
+        self._started = _target_of(self._camera, leader), leader
+        self._targets: tuple[ViewTarget, ...] = self._started[:1]
+        self._choice = TargetChoice(1)
+        self._looked_s, self._turn = -np.inf, 0
+        self.hidden_by: tuple[str, ...] = ()
 
     def take(self, wish: ViewWish | None) -> None:
         """Use a requested view from now on; a request that was taken before changes nothing."""
         if wish is None or wish == self._wish:
             return
         self._wish = wish
-        for camera in self._cameras.values():
-            _aim(camera, wish)
-        if wish.leader in self._cameras and wish.leader != self._next:
-            self._next, self._learnt_cycles = wish.leader, 0
+        if wish.distance_m is not None:
+            self.desired_distance_m = wish.distance_m
+        targets = targets_of(wish, *self._started)
+        if targets != self._targets:
+            self._targets, self._choice, self._turn = targets, TargetChoice(len(targets)), 0
+            self._look_at(targets[0])
 
     def increment(self, view: View) -> Array:
         """The increment for this cycle, (n,) [rad or m]."""
+        self._look(view)
         if self._next != self.leader:
             if self._learnt_cycles == LEARNING_CYCLES:
                 self.leader = self._next
@@ -57,6 +72,21 @@ class CameraInUse:
                 self._cameras[self._next].increment(view)
                 self._learnt_cycles += 1
         return self._camera.increment(view)
+
+    @property
+    def target(self) -> ViewTarget:
+        """What is looked at."""
+        return self._targets[self._choice.chosen]
+
+    @property
+    def sight(self) -> Sight | None:
+        """How well the target is seen; None if the controller does not report how it sees its leader."""
+        leader = self.leader_seen
+        if leader is not None and leader.sight is not Sight.FRESH:
+            return leader.sight
+        if self._choice.is_hidden:
+            return Sight.HIDDEN
+        return None if leader is None else Sight.FRESH
 
     @property
     def desired_distance_m(self) -> float:
@@ -85,15 +115,50 @@ class CameraInUse:
     def _camera(self) -> FocusController:
         return self._cameras[self.leader]
 
+    def _look(self, view: View) -> None:
+        """Look for the next target, if it is time, and turn to another one if that was what the choice needed."""
+        time_s = view.own.time_s
+        if 0.0 <= time_s - self._looked_s < LOOK_S:
+            return
+        self._looked_s = time_s
+        place, before = self._turn, self._choice.chosen
+        self._turn = (place + 1) % len(self._targets)
+        target = self._targets[place]
+        if target.leader is not None and not _is_known(view.others.get(target.leader), time_s):
+            hidden_by: tuple[str, ...] | None = None
+        else:
+            hidden_by = self._outlook.hidden_by(view, target)
+        self._choice.saw(place, hidden_by == (), time_s)
+        if place == self._choice.chosen:
+            self.hidden_by = hidden_by or ()
+        if self._choice.chosen != before:
+            self._look_at(self.target)
 
-def _aim(camera: FocusController, wish: ViewWish) -> None:
-    if wish.distance_m is not None:
-        camera.desired_distance_m = wish.distance_m
+    def _look_at(self, target: ViewTarget) -> None:
+        """Turn to a target."""
+        for camera in self._cameras.values():
+            if isinstance(camera, Aiming):
+                camera.focus = None if target.focus_m is None else np.array(target.focus_m)
+                camera.aim_offset_m = np.array(target.aim_offset_m or TOOL)
+        if target.leader in self._cameras and target.leader != self._next:
+            self._next, self._learnt_cycles = target.leader, 0
+
+
+def _is_known(robot: RobotView | None, time_s: float) -> bool:
+    """Whether it is known where a robot is."""
+    return robot is not None and time_s - robot.time_s <= LOST_S
+
+
+def _target_of(camera: FocusController, leader: str) -> ViewTarget:
+    """What a controller was made to look at."""
     if not isinstance(camera, Aiming):
-        return
-    if wish.focus_m is not None:
-        camera.focus = np.array(wish.focus_m)
-    elif wish.leader is not None or wish.aim_offset_m is not None:
-        camera.focus = None
-    if wish.aim_offset_m is not None:
-        camera.aim_offset_m = np.array(wish.aim_offset_m)
+        return ViewTarget(leader=leader)
+    if camera.focus is not None:
+        return ViewTarget(focus_m=_point(camera.focus))
+    offset_m = _point(camera.aim_offset_m)
+    return ViewTarget(leader=leader, aim_offset_m=None if offset_m == TOOL else offset_m)
+
+
+def _point(point: Array) -> TargetPoint:
+    x, y, z = np.asarray(point).tolist()
+    return x, y, z

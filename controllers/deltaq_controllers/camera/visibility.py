@@ -76,6 +76,10 @@ class VisibilityGauge:
             tuple(self._lines.blocked_by(eye, target) for eye in eyes),
         )
 
+    def bodies_at(self, point: Array) -> tuple[str, ...]:
+        """Names of the bodies at a point (3,) in the world [m], with robots where they were looked at last."""
+        return self._lines.bodies_at(point)
+
     def _is_in_picture(self, seen: Array) -> bool:
         """Whether a point (3,) in an eye's axes is within its picture."""
         up, aside, ahead = np.abs(seen[0]), np.abs(seen[1]), seen[2]

@@ -19,6 +19,7 @@ from deltaq_cell.robot import RobotModel
 from deltaq_cell.roles import camera_roles
 from deltaq_controllers.camera.controllers import camera_controller_named
 from deltaq_controllers.camera.in_use import CameraInUse
+from deltaq_controllers.camera.outlook import Outlook
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.live import (
@@ -149,7 +150,8 @@ def _follower(cell: Cell, robot: RobotModel, compiling: asyncio.Future[None]) ->
     model = cell_model(cell.description)
     scenes = {name: Scene(model, robot.name, name) for name in others}
     cameras = {name: camera_controller_named(FOLLOWS, scene, VIEW_M) for name, scene in scenes.items()}
-    return CameraInUse(cameras, camera_roles(model.description, robot.name).leader)
+    leader = camera_roles(model.description, robot.name).leader
+    return CameraInUse(cameras, leader, Outlook(model, robot.name))
 
 
 def _led(cell: Cell, teleoperator: Teleoperator, master: str, scale: float) -> LedByWishes:

@@ -20,7 +20,7 @@ from deltaq_protocol import driving
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.driving import DriverReport, DriverStage, DriverWays, DrivingMode, Reach, Way, Wish
 from deltaq_protocol.errors import DeltaqError
-from deltaq_protocol.messages import Outcome, Verdict, ViewWish
+from deltaq_protocol.messages import Outcome, Sight, Verdict, ViewTarget, ViewWish
 
 
 class Pilot:
@@ -200,6 +200,12 @@ class Pilot:
         self._view = wish
         if self._follower is not None:
             self._follower.take(wish)
+
+    def seen(self) -> tuple[Sight | None, ViewTarget | None]:
+        """How well the camera sees what it looks at, and what that is, while it follows."""
+        if not self.is_following or self._follower is None:
+            return None, None
+        return self._follower.sight, self._follower.target
 
     def held(self) -> None:
         """The robot is held: after a reset it moves when it is wished for again, and not before."""

@@ -205,6 +205,7 @@ class OperatedRobot:
             for cycle in cycles:
                 view = answers.view(state)
                 increment = pilot.increment(view, stood and _has_nothing_ahead(state, view.own), began_s)
+                leased.sight, leased.target = pilot.seen()
                 if increment is not None and state.phase is not Phase.HELD:
                     await answers.send(state, cycle, increment)
             for verdict in answers.verdicts():

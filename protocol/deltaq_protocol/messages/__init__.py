@@ -44,7 +44,6 @@ from deltaq_protocol.messages.motion import (
     Playout,
     Reason,
     RobotState,
-    Sight,
     ToolPose,
     Verdict,
 )
@@ -70,10 +69,12 @@ from deltaq_protocol.messages.status import (
 )
 from deltaq_protocol.messages.view import (
     CameraDistance,
+    Sight,
     TargetCoordinate,
     TargetPoint,
     ViewReply,
     ViewRequest,
+    ViewTarget,
     ViewWish,
 )
 
@@ -132,6 +133,7 @@ __all__ = [
     "Verdict",
     "ViewReply",
     "ViewRequest",
+    "ViewTarget",
     "ViewWish",
     "Welcome",
 ]

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, FiniteFloat
 
 from deltaq_protocol.messages.base import Count, Joints, Message, Name, Quaternion, Secret, Vector3
-from deltaq_protocol.messages.view import ViewWish
+from deltaq_protocol.messages.view import Sight, ViewTarget, ViewWish
 from deltaq_protocol.reasons import ReasonCode
 
 
@@ -35,14 +35,6 @@ class Outcome(StrEnum):
     REFUSED = "refused"
     UNKNOWN = "unknown"
     CARRIED = "carried"
-
-
-class Sight(StrEnum):
-    """How well a controller sees the robot that it follows: its view is as old as the link makes it, older, or gone."""
-
-    FRESH = "fresh"
-    STALE = "view_stale"
-    LOST = "view_lost"
 
 
 class Reason(Message):
@@ -88,9 +80,9 @@ class RobotState(Message):
     `q_cmd` is the setpoint just sent. In a cell with a lookahead an increment that answers this state goes into
     `setpoint_cycle`, and is added to `q_ahead`: the setpoint after all increments admitted so far, and after the
     brake in cycles without one. Without a lookahead both are null; they are then the next cycle and `q_cmd`.
-    `playout` is present if the robot's lease asked for a playout buffer. `sight` is how well the controller sees the
-    leader, as its newest increment says; null if it says nothing. `view` is the view last requested of its camera; it
-    outlives leases, so that the next follower uses the same view.
+    `playout` is present if the robot's lease asked for a playout buffer. `sight` is how well the controller sees what
+    it looks at, and `target` is what that is, as its newest increment says; null if it says nothing. `view` is the view
+    last requested of its camera; it outlives leases, so that the next follower uses the same view.
     `gate` is the fingerprint of the gate: a hash of its code and one of its configuration; empty until the gate has
     been heard.
     """
@@ -110,6 +102,7 @@ class RobotState(Message):
     setpoint_cycle: Count | None = None
     playout: Playout | None = None
     sight: Sight | None = None
+    target: ViewTarget | None = None
     view: ViewWish | None = None
 
 
@@ -130,7 +123,7 @@ class Increment(Message):
 
     `lease` is never sent, and is ignored if it is: the server fills in the lease. Over zenoh a proof shows the lease
     (`deltaq_protocol.proof`, with the token of the lease reply as the secret); over TCP the connection is the holder.
-    `sight` is for people: states repeat it, and no decision depends on it.
+    `sight` and `target` are for people: states repeat them, and no decision depends on them.
     `earlier` has the increments sent just before, the oldest first, for a link that loses messages. One of them is used
     if the lease has a playout buffer and it has not come itself; without a playout buffer they are ignored.
     """
@@ -142,6 +135,7 @@ class Increment(Message):
     dq: Joints
     lease: Secret = None
     sight: Sight | None = None
+    target: ViewTarget | None = None
     earlier: Annotated[tuple[EarlierIncrement, ...], Field(max_length=MOST_EARLIER)] = ()
 
 

@@ -208,6 +208,7 @@ class HliCore:
             setpoint_cycle=setpoint_cycle,
             playout=playout,
             sight=link.sight,
+            target=link.target,
             view=link.view,
         )
         told = ToTopic(topics.STATE, state.robot, placed)

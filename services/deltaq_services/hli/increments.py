@@ -55,7 +55,8 @@ class Increments:
         if reason is not None or lease is None or link is None:
             why = reason or unknown_robot(robot)
             return self._state.refuse(robot, cycle, seq, why, sender, lease is not None)
-        lease.used, link.sight = True, increment.sight
+        lease.used = True
+        link.sight, link.target = increment.sight, increment.target
         assert link.state is not None  # without one it would have been refused
         asked = Asked(increment, lease.epoch, sender, came=link.state.cycle)
         if link.playout is not None:
@@ -196,6 +197,7 @@ def _again(earlier: EarlierIncrement, bringer: Increment) -> Increment:
         dq=earlier.dq,
         lease=bringer.lease,
         sight=bringer.sight,
+        target=bringer.target,
     )
 
 

@@ -175,7 +175,8 @@ class Requests:
         self._state.tell(Deed(AuditKind.VIEW, AuditOutcome.DONE, sender.origin, request.robot, text=told))
         lease = self._state.leases.of(request.robot)
         holder = lease.client if lease else None
-        return [ToSender(sender, ViewReply(robot=request.robot, view=view, holder=holder))]
+        reply = ViewReply(robot=request.robot, view=view, holder=holder, sight=link.sight, target=link.target)
+        return [ToSender(sender, reply)]
 
     def on_io(self, request: IoRequest, sender: Sender, time_s: float) -> list[Output]:
         """Set outputs, which only the holder may while the robot is leased, and read all of them."""

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from deltaq_protocol.guarded import ServerState
-from deltaq_protocol.messages import Increment, Phase, Reason, Sight, Verdict, ViewWish
+from deltaq_protocol.messages import Increment, Phase, Reason, Sight, Verdict, ViewTarget, ViewWish
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.admitted_ahead import AdmittedAhead, AheadMemory
 from deltaq_services.hli.asked import Asked
@@ -38,7 +38,7 @@ class LinkMemory:
         waiting: the increment that waits.
         admitted: what is known of the setpoints to come.
         playout: the increments of a controller far away.
-        sight: how well the controller sees what it follows.
+        sight, target: how well the controller sees what it looks at, and what that is.
         view: what its camera is to look at.
     """
 
@@ -51,6 +51,7 @@ class LinkMemory:
     admitted: AheadMemory | None
     playout: PlayoutMemory | None
     sight: Sight | None
+    target: ViewTarget | None
     view: ViewWish | None
 
 
@@ -68,7 +69,8 @@ class RobotLink:
     Attributes:
         joints: as given.
         playout: keeps the increments of the lease until their turn; None if the lease did not ask for it.
-        sight: how well the controller sees the leader; None if it says nothing.
+        sight: how well the controller sees what it looks at; None if it says nothing.
+        target: what it looks at; None if it says nothing.
         view: the requested view of its camera; None before the first request.
         state, received_s: newest state of the robot, and when it came [s].
     """
@@ -87,6 +89,7 @@ class RobotLink:
         self._max_playout_cycles = max_playout_cycles
         self._carried = carried
         self.sight: Sight | None = None
+        self.target: ViewTarget | None = None
         self.view: ViewWish | None = None
         self.playout: PlayoutBuffer | None = None
         self._max_state_age_s = max_state_age_s
@@ -112,6 +115,7 @@ class RobotLink:
             admitted,
             None if self.playout is None else self.playout.snapshot(),
             self.sight,
+            self.target,
             self.view,
         )
 
@@ -119,7 +123,8 @@ class RobotLink:
         """Go on from where another was."""
         self.state, self.received_s = memory.state, memory.received_s
         self._asked_cycle, self._answered_cycle = memory.asked_cycle, memory.answered_cycle
-        self._waiting, self.sight, self.view = memory.waiting, memory.sight, memory.view
+        self._waiting, self.view = memory.waiting, memory.view
+        self.sight, self.target = memory.sight, memory.target
         self._awaited = dict(memory.awaited)
         if self._admitted is not None and memory.admitted is not None:
             self._admitted.restore(memory.admitted)
@@ -253,7 +258,7 @@ class RobotLink:
     def end_lease(self) -> list[Asked]:
         """The lease has ended: forget the increments that wait, and return them."""
         waited = self.drop()
-        self.playout = self.sight = None
+        self.playout = self.sight = self.target = None
         return waited
 
     def take_waiting(self) -> Asked | None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from deltaq_cell.description import CellDescription
-from deltaq_protocol.messages import ViewRequest, ViewWish
+from deltaq_protocol.messages import ViewRequest, ViewTarget, ViewWish
 
 
 def problem_of(request: ViewRequest, cell: CellDescription) -> tuple[str, str] | None:
@@ -20,12 +22,38 @@ def problem_of(request: ViewRequest, cell: CellDescription) -> tuple[str, str] |
     if request.focus_m is not None and (request.leader is not None or request.aim_offset_m is not None):
         text = "focus_m: a point that stands still is not on a tool; leader or aim_offset_m was given too"
         return text, "give one of them"
-    return None
+    if request.targets is None:
+        return None
+    if any(value is not None for value in (request.leader, request.aim_offset_m, request.focus_m)):
+        text = "targets: they are all that is looked at; leader, aim_offset_m or focus_m was given too"
+        return text, "make it one of the targets"
+    problems = (_problem_of_target(target, others) for target in request.targets)
+    wrong = ((place, text) for place, text in enumerate(problems) if text)
+    return next(((f"targets.{place}.{text}", _EACH) for place, text in wrong), None)
+
+
+_EACH = "give each target either a `leader`, which may have an `aim_offset_m`, or a `focus_m`"
+
+
+def _problem_of_target(target: ViewTarget, others: Sequence[str]) -> str:
+    """Why nobody can look at it; empty if one can."""
+    if target.leader is not None and target.leader not in others:
+        return f"leader: {target.leader!r} is no other robot; there are {', '.join(others) or 'none'}"
+    if target.focus_m is None:
+        return "" if target.leader is not None else "leader: missing, and so is focus_m"
+    if target.leader is not None or target.aim_offset_m is not None:
+        return "focus_m: a point that stands still is not on a tool; leader or aim_offset_m was given too"
+    return ""
 
 
 def changed(before: ViewWish | None, request: ViewRequest) -> ViewWish:
-    """All wishes together: what a request leaves out stays, but that a tool and a fixed point exclude each other."""
+    """All wishes together: what a request leaves out stays, but that a new target ends those of another kind."""
     given = {name: value for name in ViewWish.model_fields if (value := getattr(request, name)) is not None}
-    if "leader" in given or "aim_offset_m" in given:
-        given["focus_m"] = None
-    return (before or ViewWish()).model_copy(update=given)
+    ended: set[str] = set()
+    if "targets" in given:
+        ended |= {"leader", "aim_offset_m", "focus_m"}
+    if given.keys() & {"leader", "aim_offset_m"}:
+        ended |= {"focus_m", "targets"}
+    if "focus_m" in given:
+        ended.add("targets")
+    return (before or ViewWish()).model_copy(update={**dict.fromkeys(ended), **given})
