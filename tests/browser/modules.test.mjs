@@ -5,8 +5,8 @@ import { mock, test } from "node:test";
 
 const folder = process.env.DELTAQ_BROWSER_MODULES;
 const load = (name) => import(`${folder}/${name}.js`);
-const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { Gamepad, shaped, wishOf }, { csvCell }, { Player, Replay }, drag, { score }, hands, { Pace }, { framed }, { boxesBeside, roomOf }, { axisOf, axisText }, { modesOf }] = await Promise.all(
-  ["connection", "live", "stop", "wish", "frame", "series", "gamepad", "event_log", "replay", "drag_math", "advisor_cards", "hands", "pace", "framing", "tags", "plots", "modes"].map(load),
+const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { Gamepad, shaped, wishOf }, { csvCell }, { Player, Replay }, drag, { score }, hands, { Pace }, { framed }, { boxesBeside, roomOf }, { axisOf, axisText }, { modesOf }, { Handover, UNSEEN_MS }] = await Promise.all(
+  ["connection", "live", "stop", "wish", "frame", "series", "gamepad", "event_log", "replay", "drag_math", "advisor_cards", "hands", "pace", "framing", "tags", "plots", "modes", "handover"].map(load),
 );
 
 // what wish.js and stop.js hear from a page
@@ -47,16 +47,17 @@ function connected(t) {
 }
 
 /** A frame of one robot with one joint, as frame.py packs it. */
-function frame({ server_s = 0, age_s = 0.01, q = 0.25, version = 1 } = {}) {
+function frame({ server_s = 0, age_s = 0.01, q = 0.25, version = 2, focus = [NaN, NaN, NaN] } = {}) {
   const view = new DataView(new ArrayBuffer(88));
   const write = { u8: (at, value) => view.setUint8(at, value), u16: (at, value) => view.setUint16(at, value, true), f32: (at, value) => view.setFloat32(at, value, true) };
   write.u8(0, version);
   write.u8(1, 1);
   view.setFloat64(4, server_s, true);
-  for (const at of [12, 16, 20, 28, 32, 36, 40, 44, 48, 52, 64]) write.f32(at, NaN);
-  for (const at of [24, 26, 68, 70]) write.u16(at, 65535);
-  [1, 2, 255, 0].forEach((value, k) => write.u8(56 + k, value));
-  [[60, age_s], [72, 0.5], [76, 0.012], [80, q], [84, q]].forEach(([at, value]) => write.f32(at, value));
+  for (const at of [16, 20, 24, 28, 32, 36, 40, 52]) write.f32(at, NaN);
+  for (const at of [12, 14, 56, 58]) write.u16(at, 65535);
+  [1, 2, 255, 0].forEach((value, k) => write.u8(44 + k, value));
+  [[48, age_s], [60, 0.5], [64, 0.012], [80, q], [84, q]].forEach(([at, value]) => write.f32(at, value));
+  focus.forEach((value, k) => write.f32(68 + 4 * k, value));
   return view.buffer;
 }
 
@@ -256,12 +257,27 @@ test("an observer, a lease of somebody else's and a held robot cannot be driven"
 
 test("a frame of another version is told, not guessed at", () => {
   assert.throws(() => readFrame(frame({ version: 9 })), /version 9/);
-  const { robots, focus, nearest } = readFrame(frame({ q: 0.25 }));
+  const { robots, nearest } = readFrame(frame({ q: 0.25 }));
   assert.equal(robots[0].phase, "engaged");
   assert.equal(robots[0].outcome, null);
   assert.deepEqual([...robots[0].q], [0.25]);
-  assert.equal(focus, null);
+  assert.equal(robots[0].focus, null);
   assert.equal(nearest, null);
+  assert.deepEqual(readFrame(frame({ focus: [1, 2, 3] })).robots[0].focus, [1, 2, 3]);
+});
+
+test("the camera that is shown is kept while it sees its target, and then handed over to the first that does", () => {
+  const handover = new Handover();
+  assert.equal(handover.choose([false, false, false], 0), 0);
+  assert.equal(handover.choose([true, true, true], 2000), 0);
+  assert.equal(handover.choose([false, false, true], 2100), 0);
+  assert.equal(handover.choose([true, false, true], 2900), 0, "a glance away is no loss");
+  assert.equal(handover.choose([false, false, true], 3000), 0);
+  assert.equal(handover.choose([false, false, true], 3000 + UNSEEN_MS), 2);
+  assert.equal(handover.choose([true, true, true], 9000), 2, "it is not given back while it sees");
+  handover.take(1);
+  assert.equal(handover.choose([true, false, true], 9100), 1, "one that was chosen has its time, too");
+  assert.equal(handover.choose([true, false, true], 9100 + UNSEEN_MS), 0);
 });
 
 test("a series keeps two minutes and knows their range", () => {

@@ -7,7 +7,7 @@ import pytest
 from console_bench import ConsoleBench
 
 from deltaq_protocol import driving
-from deltaq_protocol.messages import Outcome, Phase, Reason, Verdict
+from deltaq_protocol.messages import Outcome, Phase, Reason, Sight, Verdict, ViewTarget
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.console.commands import EXPIRY_S
 from deltaq_services.console.messages import AckOutcome, Pong, StopPhase
@@ -321,6 +321,17 @@ def test_more_clients_than_can_be_served_are_turned_away(bench):
 def test_two_of_one_name_are_told_apart(bench):
     assert bench.browser("desk").client.name == "desk"
     assert bench.browser("desk").client.name == "desk 2"
+
+
+def test_a_status_says_what_a_camera_looks_at_and_how_well_it_sees_it(bench):
+    bench.states()
+    desk = bench.browser()
+    bench.state(target=ViewTarget(leader="gr", aim_offset_m=(0.0, 0.0, 0.04)), sight=Sight.HIDDEN)
+    told = desk.status().robots["fr"]
+    assert (told.looks_at, told.sight) == ("gr:0,0,0.04", Sight.HIDDEN)
+    bench.state()
+    told = desk.status().robots["fr"]
+    assert (told.looks_at, told.sight) == ("", None)
 
 
 def test_a_status_is_sent_when_it_changes_and_once_a_second(bench):

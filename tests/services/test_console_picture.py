@@ -11,12 +11,12 @@ from console_bench import BODIES, CELL, ConsoleBench
 from deltaq_cell.cell_model import CellModel, robots_told
 from deltaq_cell.load import parse_cell
 from deltaq_protocol.brake import brake_cycles, brake_increment
-from deltaq_protocol.messages import NearestPair, Outcome, Phase, Proximity
+from deltaq_protocol.messages import NearestPair, Outcome, Phase, Proximity, Sight, ToolPose, ViewTarget
 from deltaq_services.console.frame import BRAKING, OUTCOMES, PHASES, STALE
 from deltaq_services.console.scene import scene_of
 
-HEAD = struct.Struct("<BBHd3fHHf6f")
-ROBOT = struct.Struct("<BBBBffHHff")
+HEAD = struct.Struct("<BBHdHHf6f")
+ROBOT = struct.Struct("<BBBBffHHff3f")
 
 
 def decoded(frame):
@@ -39,9 +39,9 @@ def bench():
 
 def test_before_anything_is_heard_a_frame_says_so(bench):
     head, robots = decoded(bench.core.picture.frame(bench.now_s))
-    assert (head[0], head[1], head[3]) == (1, 2, bench.now_s)
-    assert all(math.isnan(number) for number in head[4:7])
-    assert head[7:9] == (65535, 65535)
+    assert (head[0], head[1], head[3]) == (2, 2, bench.now_s)
+    assert head[4:6] == (65535, 65535)
+    assert all(math.isnan(number) for fields, _, _ in robots for number in fields[10:13])
     for fields, _, _ in robots:
         _, phase, outcome, flags, age_s, clearance_m, *_ = fields
         assert (PHASES[phase], outcome, flags) == (Phase.OFFLINE, 255, STALE)
@@ -59,15 +59,61 @@ def test_a_frame_holds_what_was_heard(bench):
     bench.core.picture.take_proximity(Proximity(time_s=0.0, pairs=(near,)))
     bench.now_s += 0.015625
     head, robots = decoded(bench.core.picture.frame(bench.now_s))
-    assert head[4:7] == pytest.approx((0.1, 0.2, 0.3))  # the leader's tool
-    assert head[7:] == (0, 1, 0.5, 1, 2, 3, 4, 5, 6)
-    joints, phase, outcome, flags, age_s, clearance_m, a, b, admission, longest_s = robots[0][0]
+    assert head[4:] == (0, 1, 0.5, 1, 2, 3, 4, 5, 6)
+    joints, phase, outcome, flags, age_s, clearance_m, a, b, admission, longest_s, *focus = robots[0][0]
+    assert focus == pytest.approx((0.1, 0.2, 0.3))  # the leader's tool
+    assert all(math.isnan(number) for number in robots[1][0][10:]), "it carries no camera"
     assert (joints, PHASES[phase], OUTCOMES[outcome], flags) == (6, Phase.ENGAGED, Outcome.SCALED, 0)
     assert (age_s, clearance_m, a, b, admission) == (0.015625, 0.125, 0, 2, 0.0)
     assert longest_s == pytest.approx(0.02)
     assert robots[1][0][6:9] == (1, 65535, 1.0)
     assert robots[0][1] == pytest.approx(CELL.robots["fr"].home, abs=1e-6)
     assert (robots[0][1] == robots[0][2]).all()
+
+
+def focus_shown(bench, robot=0):
+    return decoded(bench.core.picture.frame(bench.now_s))[1][robot][0][10:]
+
+
+def test_what_a_camera_looks_at_is_marked_as_its_controller_says(bench):
+    bench.states()
+    half = math.sqrt(0.5)
+    turned = ToolPose(position=(1.0, 2.0, 3.0), quaternion_wxyz=(half, 0.0, 0.0, half))  # x to y
+    bench.state(robot="gr", tool=turned)
+    assert focus_shown(bench) == pytest.approx((1.0, 2.0, 3.0)), (
+        "nobody says: the tool that it is there to watch"
+    )
+    bench.state(target=ViewTarget(leader="gr", aim_offset_m=(0.5, 0.0, 0.25)))
+    assert focus_shown(bench) == pytest.approx((1.0, 2.5, 3.25))
+    bench.state(target=ViewTarget(leader="gr"))
+    assert focus_shown(bench) == pytest.approx((1.0, 2.0, 3.0))
+    bench.state(target=ViewTarget(focus_m=(7.0, 8.0, 9.0)))
+    assert focus_shown(bench) == pytest.approx((7.0, 8.0, 9.0))
+    for nowhere in (ViewTarget(leader="ghost"), ViewTarget()):
+        bench.state(target=nowhere)
+        assert all(math.isnan(number) for number in focus_shown(bench))
+
+
+def test_each_camera_of_a_cell_has_a_focus_of_its_own():
+    robots = CELL.robots | {"aide": CELL.robots["fr"]}
+    bench = ConsoleBench(cell=CELL.model_copy(update={"robots": robots}))
+    bench.states()
+    bench.state(robot="fr", target=ViewTarget(focus_m=(1.0, 0.0, 0.0)))
+    bench.state(robot="aide", target=ViewTarget(focus_m=(2.0, 0.0, 0.0)))
+    assert [focus_shown(bench, robot)[0] for robot in (0, 2)] == [1.0, 2.0]
+
+
+def test_the_log_tells_what_a_camera_looks_at_and_when_it_does_not_see_it(bench):
+    gr, point = ViewTarget(leader="gr"), ViewTarget(focus_m=(1.0, 0.0, 0.0))
+    for target, sight in [(gr, Sight.FRESH), (gr, Sight.FRESH), (gr, Sight.HIDDEN), (point, Sight.FRESH)]:
+        bench.state(target=target, sight=sight)
+    told = [(event.robot, event.text) for event in bench.core._log.news(bench.now_s) if event.kind == "view"]
+    assert told == [
+        ("fr", "its camera looks at gr"),
+        ("fr", "a body hides what its camera looks at (view_hidden)"),
+        ("fr", "its camera looks at 1,0,0"),
+        ("fr", "its camera sees its target"),
+    ]
 
 
 def test_a_moving_robot_is_shown_where_its_brake_would_end(bench):

@@ -52,14 +52,14 @@ class ConsoleBench:
         answer = driving.DriverAnswer(id=request.id, done=done, text=text)
         return self.done(self.core.drivers.said(robot, answer, self.now_s))
 
-    def state(self, phase=Phase.READY, reason=None, moved=0.0, robot="fr"):
+    def state(self, phase=Phase.READY, reason=None, moved=0.0, robot="fr", tool=POSE, **fields):
         """A state comes, whose first joint has moved on by so much [rad]."""
         self._cycle += 1
         home = self.cell.robots[robot].home
         q = (home[0] + moved, *home[1:])
         state = RobotState(
-            robot=robot, cycle=self._cycle, ipoc=self._cycle, time_s=self.now_s, q=q, q_cmd=q, tool=POSE,
-            phase=phase, reason=reason,
+            robot=robot, cycle=self._cycle, ipoc=self._cycle, time_s=self.now_s, q=q, q_cmd=q, tool=tool,
+            phase=phase, reason=reason, **fields,
         )  # fmt: skip
         self.core.picture.take_state(state, self.now_s)
 

@@ -13,7 +13,7 @@ KEPT = 200
 QUIET_S = 2.0
 """A line that comes again within this is counted, and told with its count when the time is over."""
 
-EventKind = Literal["verdict", "lease", "stop", "phase", "link", "client", "recording"]
+EventKind = Literal["verdict", "lease", "stop", "phase", "link", "client", "recording", "view"]
 
 
 class EventLog:

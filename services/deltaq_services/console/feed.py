@@ -12,7 +12,7 @@ from deltaq_cell.description import RobotDescription
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles, brake_travel
 from deltaq_protocol.messages import Outcome, Phase, RobotState, Verdict
-from deltaq_services.console.frame import NO_BODY, RobotFrame
+from deltaq_services.console.frame import NO_BODY, RobotFrame, Vector
 
 WINDOW_S = 1.0
 """Time over which rates are taken."""
@@ -76,8 +76,13 @@ class RobotFeed:
         """Whether the newest state is too old to be acted upon."""
         return now_s - self._state_s > STALE_S
 
-    def frame(self, now_s: float) -> RobotFrame:
-        """What a frame shows at `now_s`."""
+    def frame(self, now_s: float, focus: Vector | None) -> RobotFrame:
+        """What a frame shows at `now_s`.
+
+        Args:
+            now_s: time [s].
+            focus: what its camera looks at, in the world [m].
+        """
         for waiting in (self._outcomes, self._gaps):
             while waiting and waiting[0][0] < now_s - WINDOW_S:
                 waiting.popleft()
@@ -99,6 +104,7 @@ class RobotFeed:
             pair=self._places(None if verdict is None else verdict.pair),
             admission=sum(admitted) / len(admitted) if admitted else math.nan,
             longest_cycle_s=max(gaps, default=math.nan),
+            focus=focus,
             q=self._home if state is None else np.array(state.q),
             q_rest=self._rest(state),
         )

@@ -1,8 +1,7 @@
 """The binary message that a browser gets 25 times a second: where the robots are, little endian.
 
-    u8 version = 1   u8 robots   u16 reserved
+    u8 version = 2   u8 robots   u16 reserved
     f64 server_s     clock of the server [s]
-    f32[3] focus     what a follower looks at, in the world [m]; NaN without one
     u16 a   u16 b    the nearest bodies of the cell, by their place in the scene's `bodies`; 65535: none
     f32 distance     of those [m]; NaN without them
     f32[3]  f32[3]   their nearest points, in the world [m]
@@ -13,6 +12,7 @@
     u16 a   u16 b    that pair
     f32 admission    share of the increments of the last second that were admitted whole; NaN without any
     f32 longest      longest time between two states in the last second [s]
+    f32[3] focus     what its camera looks at, in the world [m]; NaN without one
     f32[n] q         measured [rad or m]
     f32[n] q_rest    where it would come to rest if it braked now [rad or m]
 
@@ -31,15 +31,15 @@ import numpy as np
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Outcome, Phase
 
-VERSION = 1
+VERSION = 2
 PHASES = tuple(Phase)
 OUTCOMES = tuple(Outcome)
 NO_OUTCOME = 255
 NO_BODY = 65535
 STALE, BRAKING = 1, 2
 
-_HEAD = struct.Struct("<BBHd3fHHf6f")
-_ROBOT = struct.Struct("<BBBBffHHff")
+_HEAD = struct.Struct("<BBHdHHf6f")
+_ROBOT = struct.Struct("<BBBBffHHff3f")
 _NAN3 = (math.nan, math.nan, math.nan)
 Vector = tuple[float, float, float]
 
@@ -68,6 +68,7 @@ class RobotFrame:
         pair: indices of this pair in the scene's `bodies`.
         admission: share of increments admitted whole in the last second.
         longest_cycle_s: longest time between two states in the last second.
+        focus: what its camera looks at; None without one.
         q: (n,) measured.
         q_rest: (n,) configuration in which it would come to rest.
     """
@@ -81,13 +82,12 @@ class RobotFrame:
     pair: tuple[int, int]
     admission: float
     longest_cycle_s: float
+    focus: Vector | None
     q: Array
     q_rest: Array
 
 
-def pack_frame(
-    server_s: float, focus: Vector | None, nearest: WitnessedPair, robots: Sequence[RobotFrame]
-) -> bytes:
+def pack_frame(server_s: float, nearest: WitnessedPair, robots: Sequence[RobotFrame]) -> bytes:
     """The bytes of a frame."""
     first, second = nearest.points_m
     parts = [
@@ -96,7 +96,6 @@ def pack_frame(
             len(robots),
             0,
             server_s,
-            *(focus or _NAN3),
             nearest.a,
             nearest.b,
             nearest.distance_m,
@@ -116,6 +115,7 @@ def pack_frame(
                 *robot.pair,
                 robot.admission,
                 robot.longest_cycle_s,
+                *(robot.focus or _NAN3),
             )
         )
         parts.append(np.concatenate([robot.q, robot.q_rest]).astype("<f4").tobytes())

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, FiniteFloat
 
 from deltaq_protocol.driving import Axes, DrivingMode, HandGrip, HandsOff, Search, Way
-from deltaq_protocol.messages import Count, Message, Outcome, Phase
+from deltaq_protocol.messages import Count, Message, Outcome, Phase, Sight
 from deltaq_protocol.reasons import ReasonCode
 
 SignalState = Annotated[str, Field(min_length=1, max_length=64)]
@@ -94,7 +94,8 @@ class RobotStatusView(Message):
 
     `grip` is the one that was chosen; with an object, `hands_off` is there once the hands hold it. `master` leads a
     hand when a wish says so, `master_scale` times its way; it is empty where none was chosen. `search` is there in
-    modes that offer ways; the ways themselves come in `WaysView`.
+    modes that offer ways; the ways themselves come in `WaysView`. `looks_at` is the target of its camera in words, and
+    `sight` how well that is seen, while a controller says so.
     """
 
     phase: Phase
@@ -110,6 +111,8 @@ class RobotStatusView(Message):
     master_scale: FiniteFloat = 1.0
     driving: str = ""
     view_distance_m: FiniteFloat | None = None
+    sight: Sight | None = None
+    looks_at: str = ""
     search: Search | None = None
     bound: Bound | None = None
     outputs: dict[SignalState, bool] = {}
@@ -158,7 +161,7 @@ class ConsoleEvent(Message):
 
     type: Literal["event"] = "event"
     time_s: FiniteFloat
-    kind: Literal["verdict", "lease", "stop", "phase", "link", "client", "recording"]
+    kind: Literal["verdict", "lease", "stop", "phase", "link", "client", "recording", "view"]
     robot: str = ""
     text: str
     count: Count = 1

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from deltaq_cell.description import CellDescription
-from deltaq_protocol.messages import Phase, Proximity, RobotState, Verdict
+from deltaq_cell.roles import camera_roles
+from deltaq_protocol.messages import Phase, Proximity, RobotState, Sight, Verdict, ViewTarget
 from deltaq_services.console.event_log import EventLog
+from deltaq_services.console.focus import focus_of
 from deltaq_services.console.frame import NO_BODY, Vector, WitnessedPair, pack_frame
 from deltaq_services.console.robot_side import RobotSide
-from deltaq_services.console.words import bound_of, phase_words
+from deltaq_services.console.words import bound_of, phase_words, sight_words
 
 
 class Picture:
@@ -31,6 +33,7 @@ class Picture:
         self._log = log
         self._nearest = WitnessedPair()
         self._phases: dict[str, tuple[Phase, str | None]] = {}
+        self._views: dict[str, tuple[ViewTarget, Sight | None]] = {}
 
     def take_state(self, state: RobotState, arrived_s: float) -> None:
         """A robot's state."""
@@ -47,6 +50,7 @@ class Picture:
             and (Phase.HELD in (phase[0], before[0]) or state.reason is not None)
         ):
             self._log.add(arrived_s, "phase", phase_words(state, is_stale=False)[0], state.robot)
+        self._log_view(state, arrived_s)
 
     def take_verdict(self, verdict: Verdict, arrived_s: float) -> None:
         """A verdict on a robot's increment."""
@@ -71,16 +75,36 @@ class Picture:
 
     def frame(self, now_s: float) -> bytes:
         """The frame of this moment."""
-        robots = [side.feed.frame(now_s) for side in self._robots.values()]
-        return pack_frame(now_s, self._focus(), self._nearest, robots)
+        robots = [side.feed.frame(now_s, self._focus(name)) for name, side in self._robots.items()]
+        return pack_frame(now_s, self._nearest, robots)
 
-    def _focus(self) -> Vector | None:
-        state = self._robots[self._watched].feed.state if self._watched else None
-        return None if state is None else state.tool.position
+    def _log_view(self, state: RobotState, arrived_s: float) -> None:
+        """Tell what a camera looks at, and how well it sees it, when either changes."""
+        if state.target is None:
+            self._views.pop(state.robot, None)
+            return
+        target, sight = self._views.get(state.robot, (None, Sight.FRESH))
+        self._views[state.robot] = (state.target, state.sight)
+        if state.target != target:
+            self._log.add(arrived_s, "view", f"its camera looks at {state.target.words()}", state.robot)
+        if state.sight is not None and state.sight is not sight:
+            self._log.add(arrived_s, "view", sight_words(state.sight), state.robot)
+
+    def _focus(self, name: str) -> Vector | None:
+        """What a robot's camera looks at, or would look at if nobody says: the tool that it is there to watch."""
+        state = self._robots[name].feed.state
+        watched = self._watched.get(name)
+        target = state.target if state is not None and state.target is not None else watched
+        if watched is None or target is None:
+            return None
+        leader = self._robots.get(target.leader or "")
+        seen = None if leader is None else leader.feed.state
+        return focus_of(target, None if seen is None else seen.tool)
 
 
-def _watched(cell: CellDescription) -> str:
-    """The robot that a camera looks at: the first that carries none; empty without a camera in the cell."""
-    if all(robot.camera is None for robot in cell.robots.values()):
-        return ""
-    return next((name for name, robot in cell.robots.items() if robot.camera is None), "")
+def _watched(cell: CellDescription) -> dict[str, ViewTarget]:
+    """What each robot with a camera is there to watch."""
+    cameras = [
+        name for name, robot in cell.robots.items() if robot.camera is not None and len(cell.robots) > 1
+    ]
+    return {name: ViewTarget(leader=camera_roles(cell, name).leader) for name in cameras}

@@ -236,6 +236,8 @@ class RobotSide:
             master_scale=1.0 if report is None else report.master_scale,
             driving=said,
             view_distance_m=self._view_distance_m(),
+            sight=None if state is None else state.sight,
+            looks_at="" if state is None or state.target is None else state.target.words(),
             search=None if report is None else report.search,
             bound=self.bound,
             outputs=self.outputs,

@@ -16,9 +16,11 @@ _PHASES = {
     Phase.BRAKING: "braking: no increment was admitted for this cycle",
     Phase.HELD: "held",
 }
-_SIGHTS: dict[Sight | None, str] = {
-    Sight.STALE: ", and its view of the leader is stale (view_stale)",
-    Sight.LOST: ", and its view of the leader is lost (view_lost)",
+_SIGHTS = {
+    Sight.STALE: "its view of the leader is stale (view_stale)",
+    Sight.LOST: "its view of the leader is lost (view_lost)",
+    Sight.HIDDEN: "a body hides what its camera looks at (view_hidden)",
+    Sight.FRESH: "its camera sees its target",
 }
 _REMEDIES = {
     ReasonCode.OPERATOR_STOP: "Reset it when the cell is clear.",
@@ -47,7 +49,9 @@ def phase_words(state: RobotState | None, is_stale: bool) -> tuple[str, str]:
             "no state comes: what is shown is old",
             "Check that its Robot Server and the HLI run: deltaq status.",
         )
-    text = _PHASES[state.phase] + _SIGHTS.get(state.sight, "")
+    text = _PHASES[state.phase]
+    if state.sight is not None and state.sight is not Sight.FRESH:
+        text += f", and {sight_words(state.sight)}"
     if state.reason is None:
         return text, ""
     if state.phase is Phase.HELD:
@@ -55,6 +59,11 @@ def phase_words(state: RobotState | None, is_stale: bool) -> tuple[str, str]:
             state.reason, "Remove the cause, then reset it."
         )
     return f"{text.partition(':')[0]}: {EXPLANATIONS[state.reason]}", _REMEDIES.get(state.reason, "")
+
+
+def sight_words(sight: Sight) -> str:
+    """How well a camera sees what it looks at."""
+    return _SIGHTS[sight]
 
 
 def bound_of(verdict: Verdict, units: Mapping[str, str]) -> Bound | None:

@@ -50,8 +50,7 @@ export async function showCell(holder, live, stop, look) {
   stage.solid.add(structure.root, ...views.map(({ root }) => root));
   stage.solid.updateMatrixWorld(true);
 
-  const follower = views.find((view) => view.robot.camera);
-  const picture = follower ? new FollowerPicture(stage, live, follower, views.filter((view) => view !== follower)) : null;
+  const picture = views.some(({ robot }) => robot.camera) ? new FollowerPicture(stage, live, views) : null;
   part("follower").hidden = !picture;
   const motion = new Motion(live, views, stage);
   const overlays = new Overlays(stage, live, scene, views, structure, picture);
@@ -86,7 +85,7 @@ export async function showCell(holder, live, stop, look) {
     frame: () => ask("mode", { mode: driven.mode ?? MODES[0][0], frame: driven.frame === "world" ? "tool" : "world" }),
     output: (index, value) => ask("output", { index, value }),
     distance(change) {
-      const name = follower?.name;
+      const name = picture?.view.name;
       const now = live.robot(name)?.view_distance_m ?? picture?.error()?.distance;
       const [least, most] = scene.pad.view_range_m;
       if (now) live.send("view_distance", { robot: name, value_m: Math.min(most, Math.max(least, now + change)) });

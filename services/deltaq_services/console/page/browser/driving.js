@@ -215,7 +215,8 @@ export function drivingPanel(context) {
     zoom.hidden = robot.mode !== "follow" && !(outside && driven.scenery.camera);
     distance.disabled = !!locked; // whoever follows with the robot takes it, here or elsewhere
     // a follower elsewhere that nobody told another distance does not say which it keeps: then the one that is seen
-    const seen_m = follower?.view.name === driven.name ? follower.error()?.distance : null;
+    const own = follower?.followers.find(({ name }) => name === driven.name);
+    const seen_m = own ? follower.error(own)?.distance : null;
     const shown_m = robot.view_distance_m ?? seen_m;
     if (shown_m && document.activeElement !== distance) {
       distance.value = shown_m;

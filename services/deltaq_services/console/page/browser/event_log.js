@@ -3,7 +3,7 @@
 import { el, part, save, say } from "./dom.js";
 
 const MOST = 500;
-const KINDS = ["stop", "verdict", "phase", "lease", "link", "client", "recording"];
+const KINDS = ["stop", "verdict", "phase", "lease", "link", "client", "recording", "view"];
 
 /** A cell of a CSV file; what a spreadsheet would take for a formula is quoted. */
 export function csvCell(value) {

@@ -1,9 +1,12 @@
-// The follower's picture: a second camera in the same scene, with a reticle, as an inset or large, plain or in stereo.
+// A follower's picture: a second camera in the same scene, with a reticle, as an inset or large, plain or in stereo. Of
+// several followers one is shown: the one that was chosen, or one that sees its target.
 
 import { THREE } from "nicegui-scene";
 import { degrees, el, part, remember, remembered, say } from "./dom.js";
+import { Handover } from "./handover.js";
 
 const SHAPES = ["plain", "side by side", "red-cyan"];
+const AUTOMATIC = "auto";
 const FAR_M = 40;
 
 /** Angle between view axis and focus [rad], and distance [m], of the camera pose T (16 numbers). */
@@ -15,28 +18,42 @@ export function viewError(T, focus) {
 }
 
 export class FollowerPicture {
-  /** @param view RobotView that carries the camera; others the other robots' views. */
-  constructor(stage, live, view, others) {
-    Object.assign(this, { stage, live, view, others, isLarge: false });
-    this.settings = view.robot.camera;
-    this.shape = remembered("stereo", SHAPES[0]);
-    if (!this.settings.baseline_m) this.shape = SHAPES[0];
-    this.camera = new THREE.PerspectiveCamera(degrees(this.settings.fov_rad), 1.5, 0.05, FAR_M);
+  /** @param views RobotView of each robot; one at least carries a camera. */
+  constructor(stage, live, views) {
+    Object.assign(this, { stage, live, views, isLarge: false, handover: new Handover() });
+    this.followers = views.filter(({ robot }) => robot.camera);
+    this.camera = new THREE.PerspectiveCamera(45, 1.5, 0.05, FAR_M);
     this.camera.matrixAutoUpdate = false;
     this._build();
+    this._choose(remembered("camera", AUTOMATIC));
+    if (this.followers.length > 1) live.addEventListener("frame", () => this._handOver());
     stage.afterEach((renderer) => this._draw(renderer));
   }
 
-  /** What the camera is to look at: as the server says, else the hand of another robot. */
-  focus() {
-    if (this.live.shown?.focus) return this.live.shown.focus;
-    const pose = this.others[0]?.toolPose();
+  /** RobotView whose camera is shown. */
+  get view() {
+    return this.followers[this.handover.present];
+  }
+
+  get settings() {
+    return this.view.robot.camera;
+  }
+
+  get shape() {
+    return this.settings.baseline_m ? this._shape : SHAPES[0];
+  }
+
+  /** What a follower's camera is to look at: as the server says, else the hand of another robot. */
+  focus(follower = this.view) {
+    const told = this.live.shown?.robots[this.live.indexOf(follower.name)]?.focus;
+    if (told) return told;
+    const pose = this.views.find((view) => view !== follower)?.toolPose();
     return pose ? [pose[12], pose[13], pose[14]] : null;
   }
 
-  error() {
-    const focus = this.focus();
-    return focus ? viewError(this.view.cameraPose(), focus) : null;
+  error(follower = this.view) {
+    const focus = this.focus(follower);
+    return focus ? viewError(follower.cameraPose(), focus) : null;
   }
 
   toggle() {
@@ -45,22 +62,62 @@ export class FollowerPicture {
     this.stage.ask();
   }
 
+  /** Show the camera of that name, or leave it to the hand-over; a name that is not there does, too. */
+  _choose(name) {
+    const place = this.followers.findIndex((view) => view.name === name);
+    this._isAutomatic = place < 0;
+    this._cameras.value = this._isAutomatic ? AUTOMATIC : name;
+    this._show(Math.max(0, place));
+  }
+
+  _show(place) {
+    this.handover.take(place);
+    this.camera.fov = degrees(this.settings.fov_rad);
+    this._shapes.hidden = !this.settings.baseline_m;
+    this.stage.ask();
+  }
+
+  /** Show another camera where this one has lost its target and the other sees its own. */
+  _handOver() {
+    if (!this._isAutomatic || this.live.replay) return;
+    const before = this.handover.present;
+    const next = this.handover.choose(this.followers.map((follower) => this._sees(follower)), performance.now());
+    if (next !== before) this._show(next);
+  }
+
+  /** Whether a follower's controller sees its target, and that is in its picture: another target may take a while. */
+  _sees(follower) {
+    const { name, robot } = follower;
+    if (this.live.isStale(this.live.indexOf(name)) || this.live.robot(name)?.sight !== "fresh") return false;
+    return this.error(follower)?.angle < robot.camera.fov_rad / 2;
+  }
+
   _build() {
     this.box = part("follower");
-    this._text = el("output");
+    this._shape = remembered("stereo", SHAPES[0]);
+    [this._name, this._text] = [el("b"), el("output")];
     this._ring = el("circle", { r: 7, class: "ring" });
     this._line = el("line", { class: "miss" });
     this._reticle = el("svg", { class: "reticle", "aria-hidden": "true" },
       el("path", { d: "M-46 0h34M12 0h34M0 -46v34M0 12v34", class: "cross" }), el("circle", { r: 30, class: "cross faint" }), this._line, this._ring);
-    const shapes = el("select", { "aria-label": "Stereo" }, ...SHAPES.map((shape) => el("option", { selected: shape === this.shape }, shape)));
-    shapes.hidden = !this.settings.baseline_m;
+    const shapes = el("select", { class: "stereo", "aria-label": "Stereo" }, ...SHAPES.map((shape) => el("option", { selected: shape === this._shape }, shape)));
     shapes.addEventListener("change", () => {
-      this.shape = shapes.value;
-      remember("stereo", this.shape);
+      this._shape = shapes.value;
+      remember("stereo", this._shape);
       this.stage.ask();
     });
+    this._automatic = el("option", { value: AUTOMATIC });
+    const options = this.followers.map(({ name }) => el("option", { value: name }, `${name} camera`));
+    const cameras = el("select", { "aria-label": "Camera", title: "auto: another camera is shown when this one has lost its target" }, this._automatic, ...options);
+    this._name.hidden = this.followers.length > 1;
+    cameras.hidden = !this._name.hidden;
+    cameras.addEventListener("change", () => {
+      remember("camera", cameras.value);
+      this._choose(cameras.value);
+    });
+    Object.assign(this, { _shapes: shapes, _cameras: cameras });
     this.box.append(
-      el("figcaption", {}, el("b", {}, `${this.view.name} camera`), this._text, shapes,
+      el("figcaption", {}, this._name, cameras, this._text, shapes,
         el("button", { class: "plain", title: "Large or small (V)", "aria-label": "Large or small", onclick: () => this.toggle() }, "⤢")),
       this._reticle,
     );
@@ -116,6 +173,8 @@ export class FollowerPicture {
   /** Put the ring where the focus is in the picture, and say how far off it is. */
   _aim({ width, height }) {
     const focus = this.focus();
+    say(this._name, `${this.view.name} camera`);
+    say(this._automatic, `${this.view.name} camera (auto)`);
     this._reticle.setAttribute("viewBox", `${-width / 2} ${-height / 2} ${width} ${height}`);
     const error = this.error();
     this._ring.style.display = this._line.style.display = "none";

@@ -2,7 +2,7 @@
 
 export const PHASES = ["offline", "ready", "engaged", "braking", "held"];
 export const OUTCOMES = ["admitted", "scaled", "held", "refused", "unknown", "carried"];
-const VERSION = 1;
+const VERSION = 2;
 const NO_BODY = 65535;
 const NO_OUTCOME = 255;
 
@@ -15,6 +15,7 @@ export function readFrame(buffer) {
   const f32 = () => view.getFloat32((at += 4) - 4, true);
   const f64 = () => view.getFloat64((at += 8) - 8, true);
   const vector = () => [f32(), f32(), f32()];
+  const point = () => ((found) => (found.every(Number.isFinite) ? found : null))(vector());
   const joints = (count) => Float64Array.from({ length: count }, f32);
   const body = () => ((index) => (index === NO_BODY ? null : index))(u16());
 
@@ -22,8 +23,7 @@ export function readFrame(buffer) {
   if (version !== VERSION) throw new Error(`frame of version ${version}; this page reads ${VERSION}: reload it`);
   const count = u8();
   u16();
-  const frame = { server_s: f64(), focus: vector(), nearest: null, robots: [] };
-  if (!frame.focus.every(Number.isFinite)) frame.focus = null;
+  const frame = { server_s: f64(), nearest: null, robots: [] };
   const [a, b, distance] = [body(), body(), f32()];
   const points = [vector(), vector()];
   if (a !== null && b !== null && Number.isFinite(distance)) frame.nearest = { a, b, distance, points };
@@ -42,6 +42,7 @@ export function readFrame(buffer) {
       pair: [body(), body()],
       admission: f32(),
       longest_s: f32(),
+      focus: point(),
       q: joints(n),
       rest: joints(n),
     });

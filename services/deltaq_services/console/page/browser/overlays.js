@@ -12,6 +12,7 @@ const BRAKE = "#39c6d6";
 const SIGHT = { dark: "#59d3e6", light: "#00667e" };
 const MOVES = 0.015; // rad or m to rest, from which on the brake is drawn
 const SEEN = 0.004; // m: a link whose brake is shorter hides its own ghost
+const FRUSTUM_M = 0.45; // how far the pyramid of the view reaches
 const MARKED_MS = 1500;
 const GHOSTS = { full: [0.34, 0.67, 1], lean: [1] }; // shares of the way to rest at which a robot is drawn
 
@@ -57,10 +58,7 @@ export class Overlays {
   }
 
   _sight() {
-    const far = 0.45;
-    const high = far * Math.tan(this.picture.settings.fov_rad / 2);
-    const wide = 1.5 * high;
-    const corners = [[high, wide], [high, -wide], [-high, -wide], [-high, wide]].map(([x, y]) => [x, y, far]);
+    const corners = [[1, 1.5], [1, -1.5], [-1, -1.5], [-1, 1.5]].map(([x, y]) => [x, y, 1]);
     const around = corners.map((corner, k) => [corner, corners[(k + 1) % 4]]);
     this._sightPaint = {
       lines: new THREE.LineBasicMaterial({ toneMapped: false }),
@@ -162,7 +160,8 @@ export class Overlays {
     const focus = this.picture?.focus();
     if (!this.picture) return;
     const T = this.picture.view.cameraPose();
-    this._frustum.matrix.fromArray(T);
+    const high = FRUSTUM_M * Math.tan(this.picture.settings.fov_rad / 2);
+    this._frustum.matrix.fromArray(T).scale(new THREE.Vector3(high, high, FRUSTUM_M));
     this._frustum.matrixWorldNeedsUpdate = true;
     this._line.visible = this._focusMark.visible = !!focus;
     if (!focus) return;

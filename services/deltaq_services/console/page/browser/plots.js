@@ -19,9 +19,10 @@ function plotsOf(live, scene, picture) {
     { title: "Longest cycle", unit: "ms", digits: 0, least: 20, from: 0, lines: robots((robot) => 1000 * robot.longest_s) },
   ];
   if (!picture) return plots;
+  const followers = (read) => picture.followers.map((follower) => ({ name: follower.name, value: () => read(picture.error(follower)) }));
   return [
-    { title: "Angle error", unit: "°", digits: 2, least: 2, from: 0, lines: [{ name: picture.view.name, value: () => degrees(picture.error()?.angle ?? NaN) }] },
-    { title: "View distance", unit: "m", digits: 2, least: 0.2, lines: [{ name: picture.view.name, value: () => picture.error()?.distance ?? NaN }] },
+    { title: "Angle error", unit: "°", digits: 2, least: 2, from: 0, lines: followers((error) => degrees(error?.angle ?? NaN)) },
+    { title: "View distance", unit: "m", digits: 2, least: 0.2, lines: followers((error) => error?.distance ?? NaN) },
     ...plots,
   ];
 }

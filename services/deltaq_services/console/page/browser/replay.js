@@ -36,7 +36,7 @@ export class Replay {
     const step = this.time_s / this.period_s;
     const [k, share] = [Math.floor(step), step % 1];
     const robots = this._robots.map((robot, index) => this._robot(robot, index, k, share));
-    return { server_s: this.time_s, focus: null, nearest: this._nearest(), robots };
+    return { server_s: this.time_s, nearest: this._nearest(), robots };
   }
 
   _robot({ q, phase, outcome, clearance_m }, index, k, share) {
@@ -54,6 +54,7 @@ export class Replay {
       pair: [null, null],
       admission: NaN,
       longest_s: NaN,
+      focus: null,
       q: at,
       rest: at, // what braking would have done was not recorded
     };

@@ -1,0 +1,26 @@
+"""Where in the world a camera's target is, for the page to mark it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deltaq_protocol.messages import ToolPose, ViewTarget
+from deltaq_services.console.frame import Vector
+
+
+def focus_of(target: ViewTarget, T_world_tool: ToolPose | None) -> Vector | None:
+    """A target in the world [m]; None if it is on a tool that was not heard.
+
+    Args:
+        target: what a camera looks at.
+        T_world_tool: pose of the tool of the robot that the target names.
+    """
+    if target.focus_m is not None:
+        return target.focus_m
+    if T_world_tool is None or target.aim_offset_m is None:
+        return None if T_world_tool is None else T_world_tool.position
+    w, *axis = T_world_tool.quaternion_wxyz
+    offset, u = np.array(target.aim_offset_m), np.array(axis)
+    turned = offset + 2.0 * np.cross(u, w * offset + np.cross(u, offset))
+    x, y, z = (np.array(T_world_tool.position) + turned).tolist()
+    return x, y, z
