@@ -23,7 +23,27 @@ ROD_M = 5e-4
 NEAR_EYE_M, NEAR_TARGET_M = 0.005, 0.01
 """How far from eye and target a line begins and ends: lenses have housings, and tools touch what they hold [m]."""
 
+_SLANT = 1e-6
+"""Length square to the line below which a way out of a body is along the line, and tells no side."""
+
 _Z = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True)
+class BesideLine:
+    """A body on a line of sight, or beside it.
+
+    Attributes:
+        name: of the body, `robot/body` or `structure/body`.
+        distance_m: from the line, negative if the line is in it.
+        share: where the line is nearest to it, from 0 at the eye to 1 at the target.
+        aside: (3,) unit vector square to the line, from the body to the line: the way that clears it.
+    """
+
+    name: str
+    distance_m: float
+    share: float
+    aside: Array
 
 
 @dataclass
@@ -67,6 +87,7 @@ class SightLines:
         self._local: Array = np.array([body.placement.act(body.geometry.aabb_center) for body in bodies])
         self._centres: Array = self._local.reshape(-1, 3).copy()
         self._request, self._result = coal.CollisionRequest(), coal.CollisionResult()
+        self._measure, self._nearest = coal.DistanceRequest(), coal.DistanceResult()
         self.place({name: robot.home for name, robot in cell.robots.items()})
 
     def place(self, configurations: Mapping[str, Array]) -> None:
@@ -87,10 +108,7 @@ class SightLines:
             return ()
         along = way / length
         begin, end = eye + NEAR_EYE_M * along, target - NEAR_TARGET_M * along
-        beside = self._centres - begin
-        reach = np.clip(beside @ along, 0.0, length - NEAR_EYE_M - NEAR_TARGET_M)
-        off = np.linalg.norm(beside - reach[:, None] * along, axis=1)
-        near = np.flatnonzero(off < self._radii + ROD_M)
+        near, reach = self._near(begin, end, ROD_M)
         rod, pose = _rod(begin, end)
         blocking = [
             index
@@ -99,21 +117,65 @@ class SightLines:
         ]
         return tuple(self.names[index] for index in blocking)
 
+    def beside(self, eye: Array, target: Array, within_m: float) -> tuple[BesideLine, ...]:
+        """What is on a line from an eye (3,) to a target (3,) in the world, or nearer to it than that [m].
+
+        None of the bodies at the target is among them.
+        """
+        way = target - eye
+        length = float(np.linalg.norm(way))
+        if length <= NEAR_EYE_M + NEAR_TARGET_M:
+            return ()
+        along = way / length
+        begin, end = eye + NEAR_EYE_M * along, target - NEAR_TARGET_M * along
+        near, _ = self._near(begin, end, within_m)
+        at_target = frozenset(self.bodies_at(target))
+        rod, pose = _rod(begin, end)
+        found = []
+        for index in near.tolist():
+            if self.names[index] in at_target:
+                continue
+            self._nearest.clear()
+            distance = coal.distance(
+                rod, pose, self._bodies[index].geometry, self._place_of(index), self._measure, self._nearest
+            )
+            if distance < within_m:
+                # from the line to the body; a rod that is in a body is told the shortest way out of it
+                aside = -np.asarray(self._nearest.normal)
+                aside -= (aside @ along) * along
+                share = float((self._nearest.getNearestPoint1() - eye) @ along) / length
+                size = float(np.linalg.norm(aside))
+                if size > _SLANT:
+                    found.append(BesideLine(self.names[index], distance, share, aside / size))
+        return tuple(found)
+
     def bodies_at(self, point: Array) -> tuple[str, ...]:
         """Names of the bodies at a point (3,) in the world, or nearer to it than a line of sight would come [m]."""
         near = np.flatnonzero(np.linalg.norm(self._centres - point, axis=1) < self._radii + NEAR_TARGET_M)
         ball, pose = coal.Sphere(NEAR_TARGET_M), coal.Transform3s(np.eye(3), point)
         return tuple(self.names[index] for index in near.tolist() if self._touches(ball, pose, index))
 
+    def _near(self, begin: Array, end: Array, within_m: float) -> tuple[Indices, Array]:
+        """Bodies whose bounding spheres are within a distance of a line, and how far along it all are (b,) [m]."""
+        way = end - begin
+        length = float(np.linalg.norm(way))
+        along, beside = way / length, self._centres - begin
+        reach = np.clip(beside @ along, 0.0, length)
+        off = np.linalg.norm(beside - reach[:, None] * along, axis=1)
+        return np.flatnonzero(off < self._radii + within_m), reach
+
     def _touches(self, shape: coal.Capsule | coal.Sphere, pose: coal.Transform3s, index: int) -> bool:
+        self._result.clear()
+        body, place = self._bodies[index], self._place_of(index)
+        return bool(coal.collide(shape, pose, body.geometry, place, self._request, self._result))
+
+    def _place_of(self, index: int) -> coal.Transform3s:
         body = self._bodies[index]
         where = body.placement
         for placed in self._robots.values():
             if placed.first <= index < placed.first + len(placed.joints):
                 where = placed.data.oMi[body.parentJoint] * where
-        place = coal.Transform3s(where.rotation, where.translation)
-        self._result.clear()
-        return bool(coal.collide(shape, pose, body.geometry, place, self._request, self._result))
+        return coal.Transform3s(where.rotation, where.translation)
 
 
 def _rod(begin: Array, end: Array) -> tuple[coal.Capsule, coal.Transform3s]:

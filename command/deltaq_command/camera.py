@@ -32,7 +32,10 @@ def follow(
     aim_offset_m: Annotated[_Point | None, _OFFSET] = None,
     focus_m: Annotated[_Point | None, _FOCUS] = None,
     controller: Annotated[
-        str, typer.Option(help="paper, predictive, qp, escape, or your own as package.module:function.")
+        str,
+        typer.Option(
+            help="paper, predictive, qp, clear-view, escape, or your own as package.module:function."
+        ),
     ] = "paper",
     duration_s: Annotated[
         float | None, typer.Option(min=0.1, help="Duration; until Ctrl-C if not given.")

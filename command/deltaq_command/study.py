@@ -23,7 +23,7 @@ class Experiment(StrEnum):
 
 
 CONTROLLERS = (
-    "paper, predictive, qp, escape, a printed variant (printed, "
+    "paper, predictive, qp, clear-view, escape, a printed variant (printed, "
     "printed-decay, …), or package.module:function."
 )
 

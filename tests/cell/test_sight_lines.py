@@ -68,3 +68,54 @@ def test_what_is_at_the_target_or_at_the_eye_hides_nothing(lab: CellModel) -> No
     top_of_tank, up = np.array([-0.8, -2.67, 1.02]), np.array([0.0, 0.0, 1.0])
     for height_m in (0.6, 0.001, 0.0):
         assert lines.blocked_by(top_of_tank + height_m * up, top_of_tank) == ()
+
+
+def measured_beside(
+    cell: CellModel, lines: SightLines, eye: np.ndarray, target: np.ndarray
+) -> dict[str, float]:
+    """Distance of every structure body from a line, none left out but those at the target."""
+    along = (target - eye) / np.linalg.norm(target - eye)
+    begin, end = eye + NEAR_EYE_M * along, target - NEAR_TARGET_M * along
+    rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along).matrix()
+    rod = coal.Capsule(ROD_M, float(np.linalg.norm(end - begin)))
+    pose, found = coal.Transform3s(rotation, (begin + end) / 2), {}
+    for body in cell.structure:
+        place = coal.Transform3s(body.placement.rotation, body.placement.translation)
+        request, result = coal.DistanceRequest(), coal.DistanceResult()
+        found[body.name] = coal.distance(rod, pose, body.geometry, place, request, result)
+    return {name: distance for name, distance in found.items() if name not in lines.bodies_at(target)}
+
+
+def test_what_is_beside_a_line_is_all_that_is_near_it_and_the_way_aside_clears_it(lab: CellModel) -> None:
+    lines, random, moved = SightLines(lab), np.random.default_rng(1), 0
+    for _ in range(400):
+        eye, target = random.uniform([-1.5, -3.0, 0.0], [1.5, 1.5, 2.5], (2, 3))
+        found = {body.name: body for body in lines.beside(eye, target, 0.1)}
+        near = {name: d for name, d in measured_beside(lab, lines, eye, target).items() if d < 0.1}
+        structure = {name: body for name, body in found.items() if name.startswith("structure/")}
+        assert structure.keys() <= near.keys()
+        assert all(near[name] == pytest.approx(body.distance_m, abs=1e-6) for name, body in structure.items())
+        along = (target - eye) / np.linalg.norm(target - eye)
+        for name, body in structure.items():
+            assert abs(body.aside @ along) < 1e-9
+            assert np.linalg.norm(body.aside) == pytest.approx(1.0)
+            if not 0.05 < body.share < 0.8 or abs(body.distance_m) < 2e-3:
+                continue
+            # a millimetre at the body, by the eye alone
+            shifted = {
+                b.name: b for b in lines.beside(eye + 1e-3 / (1.0 - body.share) * body.aside, target, 0.2)
+            }
+            moved += name not in shifted or shifted[name].distance_m > body.distance_m
+            assert name not in shifted or shifted[name].distance_m > body.distance_m - 1e-6
+    assert moved > 50
+
+
+def test_what_lies_at_the_target_is_not_beside_the_line(lab: CellModel) -> None:
+    lines = SightLines(lab)
+    (panel,) = (body for body in lab.structure if body.name == "structure/panel")
+    target = np.array(panel.placement.translation)
+    assert lines.bodies_at(target) == ("structure/panel",)
+    assert "structure/panel" not in {
+        body.name for body in lines.beside(target + np.array([0.0, 1.5, 0.5]), target, 0.1)
+    }
+    assert lines.beside(target, target, 0.1) == ()

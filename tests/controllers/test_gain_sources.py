@@ -7,16 +7,18 @@ from typing import Any
 import numpy as np
 import pytest
 
+from deltaq_controllers.camera.clear_view import SightGains
 from deltaq_controllers.camera.escape.gains import EscapeGains
-from deltaq_controllers.camera.gain_sources import ESCAPE, FOLLOWER, QP, GainSource
+from deltaq_controllers.camera.gain_sources import ESCAPE, FOLLOWER, QP, SIGHT, GainSource
 from deltaq_controllers.camera.gains import FollowerGains
 from deltaq_controllers.camera.qp_gains import QpGains
 from deltaq_controllers.leader.scripted import STICK_ACCELERATION_M_S2
 
 TABLES = pytest.mark.parametrize(
-    ("gains", "sources"), [(FollowerGains, FOLLOWER), (QpGains, QP), (EscapeGains, ESCAPE)]
+    ("gains", "sources"),
+    [(FollowerGains, FOLLOWER), (QpGains, QP), (EscapeGains, ESCAPE), (SightGains, SIGHT)],
 )
-UNITS = {"_m": "m", "_s": "s", "_m2": "m²/rad²", "_m_s2": "m/s²", "_rad": "rad", "_rad_s2": "rad/s²"}
+UNITS = {"_m": "m", "_s": "s", "_m2": "m²/rad²", "_m_s": "m/s", "_m_s2": "m/s²", "_rad": "rad", "_rad_s2": "rad/s²"}
 
 
 @TABLES

@@ -8,6 +8,7 @@ from typing import Any
 
 from deltaq_command.reference.markdown import table
 from deltaq_controllers.camera import gain_sources
+from deltaq_controllers.camera.clear_view import SightGains
 from deltaq_controllers.camera.escape.gains import EscapeGains
 from deltaq_controllers.camera.gain_sources import GainSource
 from deltaq_controllers.camera.gains import FollowerGains, Variants
@@ -31,6 +32,9 @@ def gains() -> str:
             "## The quadratic programme",
             "`QpGains`: `qp`.",
             table(_HEAD, _rows(QpGains(), gain_sources.QP)),
+            "## The line of sight",
+            "`SightGains`: `clear-view`, which has those of `qp` besides.",
+            table(_HEAD, _rows(SightGains(), gain_sources.SIGHT)),
             "## The courses of an escape",
             "`EscapeGains`: `escape`, which has those of `qp` besides.",
             table(_HEAD, _rows(EscapeGains(), gain_sources.ESCAPE)),

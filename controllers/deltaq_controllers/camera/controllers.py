@@ -9,6 +9,7 @@ import importlib
 from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
+from deltaq_controllers.camera.clear_view import ClearViewFollower
 from deltaq_controllers.camera.controller import CameraController
 from deltaq_controllers.camera.escape.follower import EscapingFollower
 from deltaq_controllers.camera.follower import CameraFollower
@@ -70,7 +71,7 @@ class Seeing(Protocol):
 Maker = Callable[[Scene, float, Array | None], FocusController]
 """Makes a controller for a scene, a desired view distance [m] and a fixed focus (3,), None for the leader's tool."""
 
-NAMES = (*BY_NAME, "qp", "escape")
+NAMES = (*BY_NAME, "qp", "clear-view", "escape")
 """The controllers that come with the project."""
 
 
@@ -93,6 +94,8 @@ def camera_controller_named(
         return CameraController(follower, scene.leader, distance_m, focus, scene.aim_offset_m)
     if name == "qp":
         return QpFollower(scene, distance_m, focus)
+    if name == "clear-view":
+        return ClearViewFollower(scene, distance_m, focus)
     if name == "escape":
         return EscapingFollower(scene, distance_m, focus)
     return _imported(name)(scene, distance_m, focus)

@@ -47,6 +47,17 @@ FOLLOWER: dict[str, GainSource] = {
     "spin_rad_s2": GainSource("rad/s²", "(15), bounded", TRIAL),
 }
 
+_SIGHT = "line of sight"
+
+SIGHT: dict[str, GainSource] = {
+    "clear_m": GainSource("m", _SIGHT, "half of a finger's width"),
+    "share": GainSource("1 per cycle", _SIGHT, TRIAL),
+    "most_m_s2": GainSource("m/s²", _SIGHT, "seeds 20 to 27: with 3 m/s² the angle was off by up to 2°"),
+    "slow_m_s": GainSource("m/s", _SIGHT, TRIAL),
+    "stalled_s": GainSource("s", _SIGHT, TRIAL),
+    "weight": GainSource("1/mm²", _SIGHT, "seeds 20 to 27, among 3e-4, 1e-3, 3e-3 and 1e-2"),
+}
+
 _BARRIER, _EVASION, _ROOM = "barriers", "repulsion (12)", "joint margin, (11)"
 _WEIGHT = "a decade or two from the next: order decides, not the value"
 

@@ -31,9 +31,9 @@ class Outlook:
     def __init__(self, cell: CellModel, robot: str) -> None:
         self._gauge = VisibilityGauge(cell, robot)
         self._robot, self._robots = robot, cell.robots
-        self._housing = _moving_with("camera", cell.robots[robot])
+        self._housing = moving_with("camera", cell.robots[robot])
         self._hands = {
-            name: _moving_with("tool", other) for name, other in cell.robots.items() if name != robot
+            name: moving_with("tool", other) for name, other in cell.robots.items() if name != robot
         }
 
     def hidden_by(self, view: View, target: ViewTarget) -> tuple[str, ...]:
@@ -58,7 +58,7 @@ class Outlook:
         return blocked[0] if all(blocked) else ()
 
 
-def _moving_with(frame: PointName, robot: RobotModel) -> frozenset[str]:
+def moving_with(frame: PointName, robot: RobotModel) -> frozenset[str]:
     """Names of a robot's bodies that move with its tool or camera."""
     joint = robot.model.frames[robot.frame_of(frame)].parentJoint
     return frozenset(body.name for body in robot.geometry.geometryObjects if body.parentJoint == joint)
