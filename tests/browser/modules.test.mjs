@@ -5,8 +5,8 @@ import { mock, test } from "node:test";
 
 const folder = process.env.DELTAQ_BROWSER_MODULES;
 const load = (name) => import(`${folder}/${name}.js`);
-const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { Gamepad, shaped, wishOf }, { csvCell }, { Player, Replay }, drag, { score }, hands, { Pace }, { framed }, { boxesBeside, roomOf }, { axisOf, axisText }, { modesOf }, { Handover, UNSEEN_MS }] = await Promise.all(
-  ["connection", "live", "stop", "wish", "frame", "series", "gamepad", "event_log", "replay", "drag_math", "advisor_cards", "hands", "pace", "framing", "tags", "plots", "modes", "handover"].map(load),
+const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { Gamepad, shaped, wishOf }, { csvCell }, { Player, Replay }, drag, { score }, hands, { Pace }, { framed }, { boxesBeside, roomOf }, { axisOf, axisText }, { modesOf }, { Handover, UNSEEN_MS }, { targetsOf }] = await Promise.all(
+  ["connection", "live", "stop", "wish", "frame", "series", "gamepad", "event_log", "replay", "drag_math", "advisor_cards", "hands", "pace", "framing", "tags", "plots", "modes", "handover", "look_at"].map(load),
 );
 
 // what wish.js and stop.js hear from a page
@@ -264,6 +264,13 @@ test("a frame of another version is told, not guessed at", () => {
   assert.equal(robots[0].focus, null);
   assert.equal(nearest, null);
   assert.deepEqual(readFrame(frame({ focus: [1, 2, 3] })).robots[0].focus, [1, 2, 3]);
+});
+
+test("of the robots that are to be looked at none is asked for twice", () => {
+  assert.deepEqual(targetsOf(["gr", "aide"]), ["gr", "aide"]);
+  assert.deepEqual(targetsOf(["gr", "gr"]), ["gr"]);
+  assert.deepEqual(targetsOf(["", "gr"]), ["gr"]);
+  assert.deepEqual(targetsOf(["", ""]), []);
 });
 
 test("the camera that is shown is kept while it sees its target, and then handed over to the first that does", () => {

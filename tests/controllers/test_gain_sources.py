@@ -18,7 +18,15 @@ TABLES = pytest.mark.parametrize(
     ("gains", "sources"),
     [(FollowerGains, FOLLOWER), (QpGains, QP), (EscapeGains, ESCAPE), (SightGains, SIGHT)],
 )
-UNITS = {"_m": "m", "_s": "s", "_m2": "m²/rad²", "_m_s": "m/s", "_m_s2": "m/s²", "_rad": "rad", "_rad_s2": "rad/s²"}
+UNITS = {
+    "_m": "m",
+    "_s": "s",
+    "_m2": "m²/rad²",
+    "_m_s": "m/s",
+    "_m_s2": "m/s²",
+    "_rad": "rad",
+    "_rad_s2": "rad/s²",
+}
 
 
 @TABLES

@@ -100,6 +100,7 @@ def test_a_flood_of_garbage_is_not_answered_message_by_message(bench):
         ("mode", {"robot": "fr", "mode": "follow"}),
         ("reset", {"robot": "fr"}),
         ("view_distance", {"robot": "fr", "value_m": 1.0}),
+        ("look_at", {"robot": "fr", "targets": ["gr"]}),
         ("output", {"robot": "gr", "index": 0, "value": True}),
         ("dry_run", {"robot": "fr", "dq": [0, 0, 0, 0, 0, 0]}),
     ],

@@ -1,9 +1,10 @@
 """Two operators and one robot: who has it, who asks for it, and how it changes hands."""
 
 import pytest
-from console_bench import ConsoleBench
+from console_bench import CELL, ConsoleBench
 
 from deltaq_protocol import driving
+from deltaq_protocol.messages import ViewTarget, ViewWish
 from deltaq_services.console.messages import AckOutcome
 
 REFUSED, DONE, ASKED = AckOutcome.REFUSED, AckOutcome.DONE, AckOutcome.ASKED
@@ -169,9 +170,45 @@ def test_a_view_distance_is_for_whoever_follows_and_needs_no_seat(bench):
     desk = bench.browser()
     assert desk.send("view_distance", robot="fr", value_m=1.5).outcome is ASKED
     view = bench.asked("view")[-1]
-    assert (view.robot, view.distance_m) == ("fr", 1.5)
+    assert (view.robot, view.view) == ("fr", ViewWish(distance_m=1.5))
     assert not bench.driver_requests()  # no process has to be started for it
     assert "not yours to move" in desk.send("mode", robot="fr", mode="follow").text
+
+
+def test_what_a_camera_looks_at_is_chosen_without_a_seat_and_said_back():
+    robots = CELL.robots | {"aide": CELL.robots["fr"]}
+    bench = ConsoleBench(cell=CELL.model_copy(update={"robots": robots}))
+    bench.states()
+    desk = bench.browser()
+    assert desk.status().robots["fr"].targets == ()
+    assert desk.send("look_at", robot="fr", targets=["aide", "gr"]).outcome is ASKED
+    asked = ViewWish(targets=(ViewTarget(leader="aide"), ViewTarget(leader="gr")))
+    view = bench.asked("view")[-1]
+    assert (view.robot, view.view) == ("fr", asked)
+    bench.state(view=asked)
+    assert desk.status().robots["fr"].targets == ("aide", "gr")
+    bench.state(view=ViewWish(leader="gr", distance_m=1.0))
+    assert desk.status().robots["fr"].targets == ("gr",)
+    bench.state(view=ViewWish(focus_m=(1.0, 0.0, 0.0)))
+    assert desk.status().robots["fr"].targets == ()
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"robot": "fr", "targets": ["ghost"]}, "targets: 'ghost' is no other robot; there are gr"),
+        ({"robot": "fr", "targets": ["gr", "fr"]}, "targets: 'fr' is no other robot; there are gr"),
+        ({"robot": "gr", "targets": ["fr"]}, "robot: gr carries no camera"),
+        ({"robot": "fr", "targets": []}, "targets: "),
+        ({"robot": "fr", "targets": ["gr"] * 9}, "targets: "),
+        ({"robot": "fr", "targets": ["Gr!"]}, "targets.0: "),
+    ],
+)
+def test_what_no_camera_can_look_at_is_refused(bench, fields, said):
+    answer = bench.browser().send("look_at", **fields)
+    assert answer.outcome is AckOutcome.REFUSED
+    assert answer.text.startswith(said)
+    assert not bench.asked("view")
 
 
 def held_outside(bench, holder="deltaq drive"):

@@ -22,6 +22,7 @@ from deltaq_protocol.driving import (
     TradeOff,
 )
 from deltaq_protocol.messages import Joints, JointValue, Message, Name
+from deltaq_protocol.messages.view import MOST_TARGETS
 
 MAX_MESSAGE_BYTES = 4096
 """Longest message that a browser may send."""
@@ -36,6 +37,7 @@ EXPIRY_S = {
     "master": _MOTION_S,
     "jog": _MOTION_S,
     "view_distance": _MOTION_S,
+    "look_at": _MOTION_S,
     "output": _MOTION_S,
     "dry_run": _OTHER_S,
     "advise": _OTHER_S,
@@ -148,6 +150,14 @@ class ViewDistance(ConsoleCommand):
     value_m: Annotated[float, Field(ge=0.2, le=4.0, allow_inf_nan=False)]
 
 
+class LookAt(ConsoleCommand):
+    """Robots whose tools a follower is to look at, the most important first: it looks at the first that it can see."""
+
+    type: Literal["look_at"]
+    robot: Name
+    targets: Annotated[tuple[Name, ...], Field(min_length=1, max_length=MOST_TARGETS)]
+
+
 class SetOutput(ConsoleCommand):
     """Switch a digital output, by its place in the robot's `outputs`."""
 
@@ -205,6 +215,7 @@ class ReplayShown(ConsoleCommand):
 
 DriverCommand = SetMode | SetMaster | SetOutput | AskAdvisor | DragPose
 """What a robot's driver is asked to do."""
-RobotCommand = Reset | LeaseCommand | ViewDistance | Jog | DryRun | DriverCommand
+ViewCommand = ViewDistance | LookAt
+RobotCommand = Reset | LeaseCommand | ViewCommand | Jog | DryRun | DriverCommand
 AnyCommand = Ping | Stop | Record | ReplayShown | RobotCommand
 COMMANDS: TypeAdapter[AnyCommand] = TypeAdapter(Annotated[AnyCommand, Field(discriminator="type")])

@@ -14,7 +14,7 @@ from deltaq_services.console.commands import (
     LeaseVerb,
     Reset,
     RobotCommand,
-    ViewDistance,
+    ViewCommand,
 )
 from deltaq_services.console.event_log import EventLog
 from deltaq_services.console.messages import AckOutcome, WaysView
@@ -107,10 +107,8 @@ class DriverDesk:
             )
         if isinstance(command, LeaseCommand):
             return self._lease(client, command, side, now_s)
-        if isinstance(command, ViewDistance):  # for whoever follows with the robot, here or elsewhere
-            asked = AskHli(
-                self._pending.new_id(), "view", side.name, distance_m=side.view_distance_of(command)
-            )
+        if isinstance(command, ViewCommand):  # for whoever follows with the robot, here or elsewhere
+            asked = AskHli(self._pending.new_id(), "view", side.name, view=side.view_of(command))
             return self._pending.ask(client, command.id, asked)
         if not side.seat.is_held_by(client):
             holder = side.seat.holder

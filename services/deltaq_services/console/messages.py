@@ -95,7 +95,7 @@ class RobotStatusView(Message):
     `grip` is the one that was chosen; with an object, `hands_off` is there once the hands hold it. `master` leads a
     hand when a wish says so, `master_scale` times its way; it is empty where none was chosen. `search` is there in
     modes that offer ways; the ways themselves come in `WaysView`. `looks_at` is the target of its camera in words, and
-    `sight` how well that is seen, while a controller says so.
+    `sight` how well that is seen, while a controller says so; `targets` are the robots that it was asked to look at.
     """
 
     phase: Phase
@@ -113,6 +113,7 @@ class RobotStatusView(Message):
     view_distance_m: FiniteFloat | None = None
     sight: Sight | None = None
     looks_at: str = ""
+    targets: tuple[str, ...] = ()
     search: Search | None = None
     bound: Bound | None = None
     outputs: dict[SignalState, bool] = {}

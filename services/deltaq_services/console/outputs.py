@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from deltaq_protocol import driving
-from deltaq_protocol.messages import Message
+from deltaq_protocol.messages import Message, ViewWish
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +25,7 @@ class AskHli:
     kind: Literal["stop", "reset", "dry_run", "view"]
     robot: str = ""
     dq: tuple[float, ...] = ()
-    distance_m: float | None = None
+    view: ViewWish = field(default_factory=ViewWish)
     client: str = "console"
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from deltaq_cell.description import RobotDescription
 from deltaq_protocol import driving
-from deltaq_protocol.messages import Phase
+from deltaq_protocol.messages import Phase, ViewTarget, ViewWish
 from deltaq_services.console.client import Client
 from deltaq_services.console.commands import (
     ALL_HANDS,
@@ -19,6 +19,7 @@ from deltaq_services.console.commands import (
     Jog,
     SetMaster,
     SetMode,
+    ViewCommand,
     ViewDistance,
 )
 from deltaq_services.console.feed import RobotFeed
@@ -169,15 +170,20 @@ class RobotSide:
             raise ValueError(f"index: outputs of {self.name}: {len(names)}, got {command.index}")
         return driving.Switch(id=request, outputs={names[command.index]: command.value})
 
-    def view_distance_of(self, command: ViewDistance) -> float:
-        """The distance that a follower is asked to keep [m].
+    def view_of(self, command: ViewCommand) -> ViewWish:
+        """The view that a follower is asked for.
 
         Raises:
-            ValueError: the robot cannot follow.
+            ValueError: the robot cannot follow, or a target is no other robot.
         """
         if not self._has_camera:
-            raise ValueError(f"value_m: {self.name} carries no camera")
-        return command.value_m
+            raise ValueError(f"robot: {self.name} carries no camera")
+        if isinstance(command, ViewDistance):
+            return ViewWish(distance_m=command.value_m)
+        for name in command.targets:
+            if name not in self._others:
+                raise ValueError(f"targets: {name!r} is no other robot; there are {', '.join(self._others)}")
+        return ViewWish(targets=tuple(ViewTarget(leader=name) for name in command.targets))
 
     def checked(self, command: DryRun) -> tuple[float, ...]:
         """The increment of a dry run.
@@ -237,6 +243,7 @@ class RobotSide:
             driving=said,
             view_distance_m=self._view_distance_m(),
             sight=None if state is None else state.sight,
+            targets=() if state is None else _asked_for(state.view),
             looks_at="" if state is None or state.target is None else state.target.words(),
             search=None if report is None else report.search,
             bound=self.bound,
@@ -256,3 +263,11 @@ class RobotSide:
         if not self.seat.is_held_by(client):
             return view
         return view.model_copy(update={"lease": view.lease.model_copy(update={"mine": True})})
+
+
+def _asked_for(view: ViewWish | None) -> tuple[str, ...]:
+    """The robots that a camera was asked to look at, the most important first."""
+    if view is None:
+        return ()
+    targets = view.targets or (ViewTarget(leader=view.leader),)
+    return tuple(target.leader for target in targets if target.leader is not None)

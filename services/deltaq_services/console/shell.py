@@ -203,7 +203,7 @@ class Console:
                 reset = ResetRequest(robot=asked.robot, client=asked.client)
                 await asking.ask_with_role(Done, topics.RESET, reset)
             case "view":
-                view = ViewRequest(robot=asked.robot, distance_m=asked.distance_m, client=asked.client)
+                view = ViewRequest(robot=asked.robot, client=asked.client, **dict(asked.view))
                 await asking.ask_with_role(ViewReply, topics.VIEW, view, asked.robot)
             case "dry_run":
                 run = DryRunRequest(robot=asked.robot, dq=asked.dq)

@@ -5,6 +5,7 @@ import { el, part, say } from "./dom.js";
 import { ALL, handsPanel, OBJECT } from "./hands.js";
 import { holdsFor } from "./hold.js";
 import { jogPad } from "./jog.js";
+import { lookAtPanel } from "./look_at.js";
 import { masterPanel } from "./master.js";
 import { MODES, modesOf } from "./modes.js";
 import { posePanel } from "./pose_panel.js";
@@ -166,9 +167,10 @@ export function drivingPanel(context) {
   const pose = posePanel(context, ask);
   const hands = handsPanel(context, ask);
   const master = masterPanel(context, ask);
+  const lookAt = lookAtPanel(context, ask);
   body.append(
     el("section", { class: "card" }, phase, remedy, reset, lease, el("div", { class: "row" }, ...Object.values(verbs), takeOver), answer),
-    modeBox, hands.box, advisor.box, pose.box, zoom, moveBox, master.box, signals,
+    modeBox, hands.box, advisor.box, pose.box, zoom, lookAt.box, moveBox, master.box, signals,
   );
 
   function show() {
@@ -212,6 +214,7 @@ export function drivingPanel(context) {
     pose.show();
     hands.show();
     master.show();
+    lookAt.show();
     zoom.hidden = robot.mode !== "follow" && !(outside && driven.scenery.camera);
     distance.disabled = !!locked; // whoever follows with the robot takes it, here or elsewhere
     // a follower elsewhere that nobody told another distance does not say which it keeps: then the one that is seen
