@@ -23,6 +23,11 @@ from deltaq_cell.problems import Problem
 KRC_CYCLES_S = {"krc2": (0.012,), "krc4": (0.004, 0.012)}
 """Sample times of RSI by generation of the KRC."""
 
+LEAST_GIVEN_PORT = 32768
+"""Least port that Linux gives to sockets that ask for none, unless `ip_local_port_range` says otherwise."""
+RSI_PORT = "port"
+"""Field of a driver: the port that a KRC is told by its file, where KUKA's examples have 49152."""
+
 
 class DescriptionCheck:
     """Checks, each a generator of problems.
@@ -49,12 +54,13 @@ class DescriptionCheck:
         yield from self._krc_files(name, robot)
 
     def _ports(self) -> Iterator[Problem]:
-        """No two listeners share a port."""
+        """No two listeners share a port, and none but those of RSI can be given to another socket by chance."""
         taken: dict[int, str] = {}
         listeners: list[tuple[FieldPath, int]] = [
             (("hli",), _port(self._cell.hli)),
             (("sim",), _port(self._cell.sim)),
             (("tcp_port",), self._cell.tcp_port),
+            (("console_port",), self._cell.console_port),
         ]
         for name, robot in self._cell.robots.items():
             listeners.append((("robots", name, "server"), _port(robot.server)))
@@ -69,6 +75,12 @@ class DescriptionCheck:
                 yield self._at(field, f"port {port} is that of {taken[port]} already; take another", port)
             else:
                 taken[port] = ".".join(str(part) for part in field)
+                if port >= LEAST_GIVEN_PORT and field[-1] != RSI_PORT:
+                    told = (
+                        f"Linux gives port {port} to sockets that ask for none, so that it may be in use at a start; "
+                        f"take one below {LEAST_GIVEN_PORT}"
+                    )
+                    yield self._at(field, told, port, LEAST_GIVEN_PORT - 1, severity="warning")
 
     def _open_realm(self) -> Iterator[Problem]:
         """Nobody on another machine moves a robot without a token, unless the cell says so, or by one overheard."""

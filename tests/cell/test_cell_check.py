@@ -102,6 +102,33 @@ def test_the_cycle_is_a_whole_number_of_the_krcs(tmp_path: Path, cycle: float, k
     assert all("no multiple of the cycle" in p.message for p in found)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "field", "port"),
+    [
+        ("control_port: 28152", "control_port: 49252", "robots.fr.driver.control_port", 49252),
+        ("sim: tcp/127.0.0.1:7450", "sim: tcp/127.0.0.1:32768", "sim", 32768),
+        ("tcp_port: 5210", "tcp_port: 5210\nconsole_port: 60999", "console_port", 60999),
+    ],
+)
+def test_a_port_that_another_socket_may_be_given_by_chance_is_a_warning(
+    tmp_path: Path, old: str, new: str, field: str, port: int
+) -> None:
+    path, lines = checked(tmp_path, (old, new))
+    report = check_cell(path)
+    (problem,) = report.problems
+    assert report.ok
+    assert (problem.field, problem.value, problem.bound) == (field, port, 32767)
+    assert "take one below 32768" in problem.message
+    assert str(port) in lines[problem.line - 1]
+
+
+def test_a_console_has_a_port_of_its_own(tmp_path: Path) -> None:
+    path, _ = checked(tmp_path, ("tcp_port: 5210", "tcp_port: 5210\nconsole_port: 5210"))
+    (problem,) = check_cell(path).problems
+    assert problem.field == "console_port"
+    assert "that of tcp_port" in problem.message
+
+
 def test_a_tolerance_wider_than_the_stop_distance_is_a_warning(tmp_path: Path) -> None:
     old = "max_acceleration_rad_s2: 10.9, tracking_tolerance_deg: 1"
     path, _ = checked(tmp_path, (old, old.replace("_deg: 1", "_deg: 2")))

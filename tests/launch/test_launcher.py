@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from deltaq_cell.check_description import LEAST_GIVEN_PORT
 from deltaq_cell.load import load_cell
 from deltaq_command.console import json_log
 from deltaq_launch.child_process import NICENESS, Exited
@@ -23,9 +24,6 @@ from deltaq_launch.launcher import Interrupted, Launcher
 from deltaq_launch.services import ListeningSocket, Role, Service, cell_services
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.log import json_line
-
-LEAST_GIVEN_PORT = 32768
-"""Linux gives sockets that ask for no port one from here on. Not asked of this machine: the file is for any."""
 
 SERVES = "import signal; print('ready: here', flush=True); signal.pause()"
 STUBBORN = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN);" + SERVES
