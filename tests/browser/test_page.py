@@ -86,6 +86,42 @@ def test_what_was_drawn_off_the_page_is_shown_on_it_and_follows_what_moves(opene
     assert np.mean(np.any(np.abs(after - before) > 20, axis=1)) > 0.05
 
 
+# the camera's picture as the page shows it, coarsely, however fine it was drawn
+INSET = """() => {
+    const {canvas} = deltaq.stage;
+    const [outer, inner] = [canvas, deltaq.picture.box].map((element) => element.getBoundingClientRect());
+    const ratio = canvas.width / outer.width;
+    const part = [inner.left - outer.left, inner.top - outer.top, inner.width, inner.height]
+        .map((length) => ratio * length);
+    const pen = Object.assign(document.createElement("canvas"), {width: 24, height: 16}).getContext("2d");
+    pen.drawImage(canvas, ...part, 0, 0, 24, 16);
+    return Array.from(pen.getImageData(0, 0, 24, 16).data);
+}"""
+# as of a picture that left it as it was, while that is on the page
+KEPT = f"""() => new Promise((kept) => {{
+    const look = () => deltaq.picture._isSkipped && !deltaq.stage._isUnseen ? kept(({INSET})()) : setTimeout(look, 1);
+    look();
+}})"""
+
+
+@pytest.mark.nightly
+def test_the_cameras_picture_stays_on_the_page_where_a_picture_leaves_it_out(opened):
+    page = opened()
+    page.wait_for_function("deltaq.stage.isFinest()")
+    still = np.array(page.evaluate(INSET))
+    take_control(page)
+    hold_until_it_moves(page)
+    kept = np.array([page.evaluate(KEPT) for _ in range(5)])
+    page.evaluate("clearInterval(pressing), deltaq.wish.release('test')")
+    page.mouse.up()
+    # the wrist turns in it; all else is as it was
+    assert np.median(np.abs(kept - still), axis=1).max() < 6
+    page.wait_for_function(f"{AT_REST} && deltaq.stage.isFinest()")
+    turned = np.array(page.evaluate(INSET))
+    assert np.abs(turned - still).max() > 6
+    assert np.median(np.abs(turned - still)) < 6
+
+
 @pytest.mark.nightly
 def test_pictures_go_on_when_the_graphics_hardware_was_lost_and_has_come_back(opened):
     page = opened()

@@ -74,6 +74,11 @@ export class FollowerPicture {
     this.handover.take(place);
     this.camera.fov = degrees(this.settings.fov_rad);
     this._shapes.hidden = !this.settings.baseline_m;
+    this._drawAnew();
+  }
+
+  _drawAnew() {
+    this._inset = null;
     this.stage.ask();
   }
 
@@ -104,7 +109,7 @@ export class FollowerPicture {
     shapes.addEventListener("change", () => {
       this._shape = shapes.value;
       remember("stereo", this._shape);
-      this.stage.ask();
+      this._drawAnew();
     });
     this._automatic = el("option", { value: AUTOMATIC });
     const options = this.followers.map(({ name }) => el("option", { value: name }, `${name} camera`));
@@ -139,6 +144,15 @@ export class FollowerPicture {
     if (!box.width || !box.height) return;
     const left = box.left - holder.left;
     const bottom = holder.bottom - box.bottom;
+    // as an inset every other picture is enough, where the processor draws; one of what stands still is finer, and has it
+    const inset = [left, bottom, box.width, box.height];
+    this._isSkipped = !this._isSkipped && !this.isLarge && inset.every((length, k) => length === this._inset?.[k]) && this.stage.keep(...inset);
+    this._inset = inset;
+    if (this._isSkipped) {
+      this._place(this.view.cameraPose());
+      this._aim(box);
+      return;
+    }
     const { scene, marks } = this.stage;
     const T = this.view.cameraPose();
     marks.visible = false;

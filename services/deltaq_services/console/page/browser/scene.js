@@ -77,6 +77,18 @@ export class Stage {
     this._moved ||= moved;
   }
 
+  /**
+   * Let a part of the page as it was for one picture, so that nothing need be drawn there: in pixels of the page, from
+   * below. Returns whether it stays; not where graphics hardware draws, which begins each picture anew, nor where the
+   * last picture was finer or coarser.
+   */
+  keep(x, y, width, height) {
+    if (!this._screen?.maySkip) return false;
+    const ratio = this.renderer.getPixelRatio();
+    this._screen.keep([x, y, width, height].map((length) => Math.round(ratio * length)));
+    return true;
+  }
+
   /** Call `action(now_ms)` whenever another picture may be begun, ahead of it. */
   beforeEach(action) {
     this._before.push(action);

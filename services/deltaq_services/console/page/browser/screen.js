@@ -8,12 +8,33 @@ export class Screen {
     this._drawn = drawn;
     this.canvas = document.createElement("canvas");
     this._pen = this.canvas.getContext("2d", { alpha: false });
+    this._kept = null;
+  }
+
+  /** Whether the next picture to be shown is as fine as the one that is, so that parts of this may be kept. */
+  get maySkip() {
+    return this.canvas.width === this._drawn.width && this.canvas.height === this._drawn.height;
+  }
+
+  /** Let a part of the page as it is when the next picture is shown: [x, y, width, height] in its pixels, from below. */
+  keep(part) {
+    this._kept = part;
   }
 
   /** Show what was drawn; to be called when it is finished. */
   show() {
-    const { canvas, _drawn: { width, height } } = this;
-    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
-    this._pen.drawImage(this._drawn, 0, 0);
+    const { canvas, _drawn: { width, height }, _pen: pen } = this;
+    if (!this.maySkip) Object.assign(canvas, { width, height }), (this._kept = null);
+    pen.save();
+    if (this._kept) {
+      const [x, y, wide, high] = this._kept;
+      pen.beginPath();
+      pen.rect(0, 0, width, height);
+      pen.rect(x, height - y - high, wide, high);
+      pen.clip("evenodd");
+    }
+    pen.drawImage(this._drawn, 0, 0);
+    pen.restore();
+    this._kept = null;
   }
 }
