@@ -83,7 +83,7 @@ async def test_wrong_tokens_other_versions_and_no_hello_are_named(running: Audit
     async with json_client(running.port, None) as client:
         await client.ask("done", type="reset", robot="fr")
         early = await running.entry("message", "refused", code="not_permitted", client="")
-        assert (early["address"], early["text"]) == (address_of(client), "a reset before the hello")
+        assert (early["address"], early["text"]) == (address_of(client), "reset before the hello")
 
 
 async def test_what_a_stranger_tries_over_zenoh_is_named_and_counted(running: Audited) -> None:

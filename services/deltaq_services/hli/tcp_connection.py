@@ -239,7 +239,7 @@ class TcpConnection(asyncio.Protocol, Sender):
             return self._told(Challenge(challenge=self._port.authentication.challenge(now).hex()))
         client = self._client
         if client is None:
-            text = f"a {data['type']} before the hello"
+            text = f"{data['type']} before the hello"
             hint = f'begin with {{"type":"hello","protocol":{PROTOCOL_VERSION},"client":"your name"}}'
             answered = answered_by_error(data)
             self._tell(AuditKind.MESSAGE, ReasonCode.NOT_PERMITTED, text)
