@@ -117,3 +117,18 @@ def test_who_has_no_camera_cannot_watch_and_a_camera_can_be_watched(tmp_path: Pa
         load(Options(robot="gr"))
     scene = load(Options(cell=with_a_second_camera(tmp_path), robot="second", leader="fr"))
     assert (scene.robot.name, scene.leader.name) == ("second", "fr")
+
+
+@pytest.mark.long
+def test_a_camera_on_the_gantry_tracks_the_robot_on_the_floor(tmp_path: Path) -> None:
+    camera = {"pose": {"position_m": [0.0, 0.0, 0.3]}, "vertical_view_deg": 45, "baseline_m": 0.12}
+    file = tmp_path / "swapped.yaml"
+    swapped = {"extends": "lab", "cell": "swapped", "robots": {"gr": {"camera": camera}}}
+    file.write_text(yaml.safe_dump(swapped), encoding="utf-8")
+    options = replace(TRACKING, cell=file, robot="gr", leader="fr", duration_s=4.0, settle_s=3.0)
+    report = tracking.run(options).report
+    assert (report.robot, report.leader) == ("gr", "fr")
+    assert report.angle_deg.max < 0.1
+    assert report.distance_m.max < 0.003
+    assert report.seen.by_all_eyes == 1.0
+    assert report.gate.held + report.gate.refused == 0
