@@ -25,8 +25,6 @@ KRC_CYCLES_S = {"krc2": (0.012,), "krc4": (0.004, 0.012)}
 
 LEAST_GIVEN_PORT = 32768
 """Least port that Linux gives to sockets that ask for none, unless `ip_local_port_range` says otherwise."""
-RSI_PORT = "port"
-"""Field of a driver: the port that a KRC is told by its file, where KUKA's examples have 49152."""
 
 
 class DescriptionCheck:
@@ -54,8 +52,12 @@ class DescriptionCheck:
         yield from self._krc_files(name, robot)
 
     def _ports(self) -> Iterator[Problem]:
-        """No two listeners share a port, and none but those of RSI can be given to another socket by chance."""
+        """No two listeners share a port, and no other socket can be given one of them by chance.
+
+        Those of RSI are excepted: a KRC is told them by its file, and KUKA's examples have 49152.
+        """
         taken: dict[int, str] = {}
+        of_rsi: set[FieldPath] = set()
         listeners: list[tuple[FieldPath, int]] = [
             (("hli",), _port(self._cell.hli)),
             (("sim",), _port(self._cell.sim)),
@@ -65,7 +67,9 @@ class DescriptionCheck:
         for name, robot in self._cell.robots.items():
             listeners.append((("robots", name, "server"), _port(robot.server)))
             if isinstance(robot.driver, RsiDescription):
-                listeners.append((("robots", name, "driver", "port"), robot.driver.port))
+                rsi: FieldPath = ("robots", name, "driver", "port")
+                of_rsi.add(rsi)
+                listeners.append((rsi, robot.driver.port))
                 if robot.driver.control_port is not None:
                     listeners.append((("robots", name, "driver", "control_port"), robot.driver.control_port))
         for field, port in listeners:
@@ -75,7 +79,7 @@ class DescriptionCheck:
                 yield self._at(field, f"port {port} is that of {taken[port]} already; take another", port)
             else:
                 taken[port] = ".".join(str(part) for part in field)
-                if port >= LEAST_GIVEN_PORT and field[-1] != RSI_PORT:
+                if port >= LEAST_GIVEN_PORT and field not in of_rsi:
                     told = (
                         f"Linux gives port {port} to sockets that ask for none, so that it may be in use at a start; "
                         f"take one below {LEAST_GIVEN_PORT}"

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import coal
 import numpy as np
@@ -44,6 +44,14 @@ class BesideLine:
     distance_m: float
     share: float
     aside: Array
+
+
+class _Line(NamedTuple):
+    """Where it begins (3,) [m], the unit vector along it (3,), and its length [m]."""
+
+    begin: Array
+    along: Array
+    length: float
 
 
 @dataclass
@@ -102,14 +110,11 @@ class SightLines:
 
     def blocked_by(self, eye: Array, target: Array) -> tuple[str, ...]:
         """Names of the bodies on the line from an eye (3,) to a target (3,) in the world [m], from the eye on."""
-        way = target - eye
-        length = float(np.linalg.norm(way))
-        if length <= NEAR_EYE_M + NEAR_TARGET_M:
+        line = _line(eye, target)
+        if line is None:
             return ()
-        along = way / length
-        begin, end = eye + NEAR_EYE_M * along, target - NEAR_TARGET_M * along
-        near, reach = self._near(begin, end, ROD_M)
-        rod, pose = _rod(begin, end)
+        near, reach = self._near(line, ROD_M)
+        rod, pose = _rod(line)
         blocking = [
             index
             for index in near[np.argsort(reach[near], kind="stable")].tolist()
@@ -122,15 +127,13 @@ class SightLines:
 
         None of the bodies at the target is among them.
         """
-        way = target - eye
-        length = float(np.linalg.norm(way))
-        if length <= NEAR_EYE_M + NEAR_TARGET_M:
+        line = _line(eye, target)
+        if line is None:
             return ()
-        along = way / length
-        begin, end = eye + NEAR_EYE_M * along, target - NEAR_TARGET_M * along
-        near, _ = self._near(begin, end, within_m)
+        along, length = line.along, float(np.linalg.norm(target - eye))
+        near, _ = self._near(line, within_m)
         at_target = frozenset(self.bodies_at(target))
-        rod, pose = _rod(begin, end)
+        rod, pose = _rod(line)
         found = []
         for index in near.tolist():
             if self.names[index] in at_target:
@@ -155,13 +158,11 @@ class SightLines:
         ball, pose = coal.Sphere(NEAR_TARGET_M), coal.Transform3s(np.eye(3), point)
         return tuple(self.names[index] for index in near.tolist() if self._touches(ball, pose, index))
 
-    def _near(self, begin: Array, end: Array, within_m: float) -> tuple[Indices, Array]:
+    def _near(self, line: _Line, within_m: float) -> tuple[Indices, Array]:
         """Bodies whose bounding spheres are within a distance of a line, and how far along it all are (b,) [m]."""
-        way = end - begin
-        length = float(np.linalg.norm(way))
-        along, beside = way / length, self._centres - begin
-        reach = np.clip(beside @ along, 0.0, length)
-        off = np.linalg.norm(beside - reach[:, None] * along, axis=1)
+        beside = self._centres - line.begin
+        reach = np.clip(beside @ line.along, 0.0, line.length)
+        off = np.linalg.norm(beside - reach[:, None] * line.along, axis=1)
         return np.flatnonzero(off < self._radii + within_m), reach
 
     def _touches(self, shape: coal.Capsule | coal.Sphere, pose: coal.Transform3s, index: int) -> bool:
@@ -178,8 +179,19 @@ class SightLines:
         return coal.Transform3s(where.rotation, where.translation)
 
 
-def _rod(begin: Array, end: Array) -> tuple[coal.Capsule, coal.Transform3s]:
-    """A thin capsule between two points (3,), and where it is: its axis is its z."""
-    way = end - begin
-    rotation = pin.Quaternion.FromTwoVectors(_Z, way).matrix()
-    return coal.Capsule(ROD_M, float(np.linalg.norm(way))), coal.Transform3s(rotation, 0.5 * (begin + end))
+def _line(eye: Array, target: Array) -> _Line | None:
+    """The line from an eye to a target, without its ends; None if nothing is left of it."""
+    way = target - eye
+    distance = float(np.linalg.norm(way))
+    length = distance - NEAR_EYE_M - NEAR_TARGET_M
+    if length <= 0.0:
+        return None
+    along = way / distance
+    return _Line(eye + NEAR_EYE_M * along, along, length)
+
+
+def _rod(line: _Line) -> tuple[coal.Capsule, coal.Transform3s]:
+    """A thin capsule along a line, and where it is: its axis is its z."""
+    rotation = pin.Quaternion.FromTwoVectors(_Z, line.along).matrix()
+    middle = line.begin + 0.5 * line.length * line.along
+    return coal.Capsule(ROD_M, line.length), coal.Transform3s(rotation, middle)

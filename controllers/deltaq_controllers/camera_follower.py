@@ -117,11 +117,12 @@ class FollowerProcess:
         """Count how well the controller sees its target, and say when that or the target changes."""
         sight, target = camera.sight, camera.target
         if sight is not None and self._sightings.add(sight, age_s, time_s):
-            level = logging.INFO if sight is Sight.FRESH else logging.WARNING
-            told = "seen again" if sight is Sight.FRESH else sight.value
-            if sight is Sight.HIDDEN:
-                told += f" by {', '.join(camera.hidden_by)}"
-            _log.log(level, "%s: %s, its state is %.2f s old", camera.leader, told, age_s)
+            if sight is Sight.FRESH:
+                _log.info("%s: seen again", target.words())
+            elif sight is Sight.HIDDEN:
+                _log.warning("%s: %s by %s", target.words(), sight, ", ".join(camera.hidden_by))
+            else:
+                _log.warning("%s: %s, its state is %.2f s old", camera.leader, sight, age_s)
         if target != self._target:
             if self._target is not None:
                 _log.info("looks at %s", target.words())

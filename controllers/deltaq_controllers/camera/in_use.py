@@ -43,8 +43,8 @@ class CameraInUse:
         self._next, self._learnt_cycles = leader, 0
         self._wish: ViewWish | None = None
         self.evades_below_m = self._camera.evades_below_m
-        self._started = _target_of(self._camera, leader), leader
-        self._targets: tuple[ViewTarget, ...] = self._started[:1]
+        self._first_leader, self._started = leader, _target_of(self._camera, leader)
+        self._targets: tuple[ViewTarget, ...] = (self._started,)
         self._choice = TargetChoice(1)
         self._looked_s, self._turn = -np.inf, 0
         self.hidden_by: tuple[str, ...] = ()
@@ -56,7 +56,7 @@ class CameraInUse:
         self._wish = wish
         if wish.distance_m is not None:
             self.desired_distance_m = wish.distance_m
-        targets = targets_of(wish, *self._started)
+        targets = targets_of(wish, self._started, self._first_leader)
         if targets != self._targets:
             self._targets, self._choice, self._turn = targets, TargetChoice(len(targets)), 0
             self._look_at(targets[0])

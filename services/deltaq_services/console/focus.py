@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 
 from deltaq_protocol.messages import ToolPose, ViewTarget
 from deltaq_services.console.frame import Vector
@@ -19,8 +20,7 @@ def focus_of(target: ViewTarget, T_world_tool: ToolPose | None) -> Vector | None
         return target.focus_m
     if T_world_tool is None or target.aim_offset_m is None:
         return None if T_world_tool is None else T_world_tool.position
-    w, *axis = T_world_tool.quaternion_wxyz
-    offset, u = np.array(target.aim_offset_m), np.array(axis)
-    turned = offset + 2.0 * np.cross(u, w * offset + np.cross(u, offset))
-    x, y, z = (np.array(T_world_tool.position) + turned).tolist()
+    w, x, y, z = T_world_tool.quaternion_wxyz
+    placed = pin.XYZQUATToSE3(np.array([*T_world_tool.position, x, y, z, w]))
+    x, y, z = placed.act(np.array(target.aim_offset_m)).tolist()
     return x, y, z

@@ -7,6 +7,9 @@ from collections.abc import Sequence
 from deltaq_cell.description import CellDescription
 from deltaq_protocol.messages import ViewRequest, ViewTarget, ViewWish
 
+_NOT_ON_A_TOOL = "focus_m: a point that stands still is not on a tool; leader or aim_offset_m was given too"
+_EACH = "give each target either a `leader`, which may have an `aim_offset_m`, or a `focus_m`"
+
 
 def problem_of(request: ViewRequest, cell: CellDescription) -> tuple[str, str] | None:
     """Why no follower can use this view, and the remedy; None if one can. The robot is one of the cell's."""
@@ -20,19 +23,17 @@ def problem_of(request: ViewRequest, cell: CellDescription) -> tuple[str, str] |
         text = f"leader: {request.leader!r} is no other robot; {robot} can look at {', '.join(others) or 'nobody'}"
         return text, "name another robot of the cell"
     if request.focus_m is not None and (request.leader is not None or request.aim_offset_m is not None):
-        text = "focus_m: a point that stands still is not on a tool; leader or aim_offset_m was given too"
-        return text, "give one of them"
+        return _NOT_ON_A_TOOL, "give one of them"
     if request.targets is None:
         return None
     if any(value is not None for value in (request.leader, request.aim_offset_m, request.focus_m)):
         text = "targets: they are all that is looked at; leader, aim_offset_m or focus_m was given too"
         return text, "make it one of the targets"
-    problems = (_problem_of_target(target, others) for target in request.targets)
-    wrong = ((place, text) for place, text in enumerate(problems) if text)
-    return next(((f"targets.{place}.{text}", _EACH) for place, text in wrong), None)
-
-
-_EACH = "give each target either a `leader`, which may have an `aim_offset_m`, or a `focus_m`"
+    for place, target in enumerate(request.targets):
+        text = _problem_of_target(target, others)
+        if text:
+            return f"targets.{place}.{text}", _EACH
+    return None
 
 
 def _problem_of_target(target: ViewTarget, others: Sequence[str]) -> str:
@@ -42,7 +43,7 @@ def _problem_of_target(target: ViewTarget, others: Sequence[str]) -> str:
     if target.focus_m is None:
         return "" if target.leader is not None else "leader: missing, and so is focus_m"
     if target.leader is not None or target.aim_offset_m is not None:
-        return "focus_m: a point that stands still is not on a tool; leader or aim_offset_m was given too"
+        return _NOT_ON_A_TOOL
     return ""
 
 

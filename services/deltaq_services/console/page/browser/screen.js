@@ -24,10 +24,11 @@ export class Screen {
   /** Show what was drawn; to be called when it is finished. */
   show() {
     const { canvas, _drawn: { width, height }, _pen: pen } = this;
-    if (!this.maySkip) Object.assign(canvas, { width, height }), (this._kept = null);
+    const kept = this.maySkip ? this._kept : null;
+    if (!this.maySkip) Object.assign(canvas, { width, height });
     pen.save();
-    if (this._kept) {
-      const [x, y, wide, high] = this._kept;
+    if (kept) {
+      const [x, y, wide, high] = kept;
       pen.beginPath();
       pen.rect(0, 0, width, height);
       pen.rect(x, height - y - high, wide, high);
