@@ -2,8 +2,9 @@
 
 They stay Python, typed and tested as such: with `NUMBA_DISABLE_JIT=1` they run as they stand. The machine code is
 kept on disk. Whether it is out of date numba tells by the file of a function, but not by the files of the functions
-that it calls; so it is kept in a folder named after the sources of all compiled functions of its package. Within that
-folder a module is found by its place in the package, so that the folder can be copied to another installation.
+that it calls; so it is kept in a folder named after the sources of all compiled functions of its package and of the
+gate's kernel. Within that folder a module is found by its place in the package, so that the folder can be copied to
+another installation.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from numba.core.caching import UserProvidedCacheLocator
 
 from deltaq_cell.machine_code import folder, package_of
 
-__all__ = ["compiled", "inlined", "makes_no_array", "told_of_compiling"]
+__all__ = ["compiled", "inlined", "makes_no_array", "told_of_compiling", "waits"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -51,7 +52,17 @@ def makes_no_array(function: Function) -> Function:
     return _to_machine_code(function, counts_users=False)
 
 
-def _to_machine_code(function: Function, inline: str = "never", counts_users: bool = True) -> Function:
+def waits(function: Function) -> Function:
+    """Decorate a function that makes no array and calls into C, where it may wait: other threads run meanwhile.
+
+    What it calls has no Python: with `NUMBA_DISABLE_JIT=1` it cannot run.
+    """
+    return _to_machine_code(function, counts_users=False, keeps_lock=False)
+
+
+def _to_machine_code(
+    function: Function, inline: str = "never", counts_users: bool = True, keeps_lock: bool = True
+) -> Function:
     users_own = numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES
     kept = _folder(function.__module__)
     # numba asks for its folder while it decorates, and others may want theirs elsewhere
@@ -59,7 +70,9 @@ def _to_machine_code(function: Function, inline: str = "never", counts_users: bo
     numba.config.CACHE_LOCATOR_CLASSES = f"{__name__}.{_PlaceInPackage.__name__}" if kept else users_own[1]
     try:
         # numba's option has no public name; what makes an array all the same is refused when it is compiled
-        decorate = numba.njit(cache=bool(kept), error_model="numpy", inline=inline, _nrt=counts_users)
+        decorate = numba.njit(
+            cache=bool(kept), error_model="numpy", inline=inline, _nrt=counts_users, nogil=not keeps_lock
+        )
         return cast(Function, decorate(function))
     finally:
         numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES = users_own
@@ -95,6 +108,8 @@ def told_of_compiling(tell: Callable[[str], None]) -> Iterator[None]:
         yield
 
 
-@cache
 def _folder(module: str) -> str:
-    return folder(package_of(module))
+    return _folder_of(package_of(module))
+
+
+_folder_of = cache(folder)

@@ -5,12 +5,19 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
+import re
 import shutil
 import sys
 from contextlib import suppress
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
+
+_HERE = Path(__file__).parent
+"""The package of the gate's kernel, of which the machine code of other packages may hold functions."""
+
+_DECORATES = re.compile(rb"^@(compiled|inlined|makes_no_array|waits)$", re.MULTILINE)
+"""What makes machine code of a function, see `deltaq_cell.compiled`."""
 
 
 def folder_of(package: Path, users_cache: Path) -> str:
@@ -21,9 +28,9 @@ def folder_of(package: Path, users_cache: Path) -> str:
     Returns:
         The folder; empty if neither can be written to: then every process recompile.
     """
-    sources = [path.read_bytes() for path in sorted(package.rglob("*.py"))]
-    compiled = [source for source in sources if b"\n@compiled" in source or b"(NamedTuple)" in source]
-    version = hashlib.sha256(b"".join(compiled)).hexdigest()
+    sources = [path.read_bytes() for each in {_HERE, package} for path in sorted(each.rglob("*.py"))]
+    compiled = [source for source in sources if _DECORATES.search(source) or b"(NamedTuple)" in source]
+    version = hashlib.sha256(b"".join(sorted(compiled))).hexdigest()
     installed = package / "__pycache__" / f"compiled-{version[:16]}"
     if _can_be_written(installed):
         return str(installed)

@@ -136,6 +136,19 @@ def test_what_a_function_is_given_is_part_of_its_code(tmp_path: Path) -> None:
     assert folder_of(package, tmp_path) != first
 
 
+@pytest.mark.parametrize("decorator", ["compiled", "inlined", "makes_no_array", "waits"])
+def test_every_function_that_may_be_part_of_another_is_part_of_its_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, decorator: str
+) -> None:
+    package, kernel = tmp_path / "package", tmp_path / "kernel"
+    monkeypatch.setattr("deltaq_cell.machine_code._HERE", kernel)
+    for folder in (package, kernel):
+        folder.mkdir()
+        before = folder_of(package, tmp_path)
+        (folder / "called.py").write_text(ONE.replace("compiled", decorator))
+        assert folder_of(package, tmp_path) != before
+
+
 def test_machine_code_is_kept_by_package_and_that_of_a_script_beside_the_decorator() -> None:
     assert package_of("deltaq_controllers.camera.law").name == "deltaq_controllers"
     assert package_of("deltaq_cell.kernel.look").name == "deltaq_cell"

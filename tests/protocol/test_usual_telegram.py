@@ -16,13 +16,30 @@ USUAL = UsualTelegrams(load_ethernet_xml(XML), AXES)
 OWN = telegram(1000, delay=3)
 
 
+def joints(datagram):
+    """The joints (n,) as they were written; None if it is no telegram in the usual layout."""
+    places = USUAL.places(datagram)
+    if places is None:
+        return None
+    told = dict(zip(USUAL.order, (datagram[start:end] for start, end in places), strict=True))
+    return [float(told[joint]) for joint in range(6)]
+
+
+def between(datagram):
+    """What stands between the values that vary."""
+    kept, last = [], 0
+    for start, end in USUAL.places(datagram):
+        kept.append(datagram[last:start])
+        last = end
+    return [*kept, datagram[last:]]
+
+
 def test_a_telegram_is_its_joints_and_what_stays():
-    joints = USUAL.joints(OWN)
-    told = [float(joints[USUAL.order.index(joint)]) for joint in range(6)]
-    assert told == [round(float(q), 4) for q in FR.home * AXES.reported]
-    assert b'<Delay D="3"/>' in USUAL.steady(OWN)
+    assert joints(OWN) == [round(float(q), 4) for q in FR.home * AXES.reported]
+    assert b'<Delay D="3"/>' in b"".join(between(OWN))
     assert USUAL.ipoc(OWN) == 1000
-    assert OWN.endswith(USUAL.end(OWN, 1000))
+    assert USUAL.with_ipoc(OWN, 1000) == OWN
+    assert USUAL.ipoc(USUAL.with_ipoc(OWN, 7)) == 7
 
 
 @given(
@@ -32,17 +49,16 @@ def test_a_telegram_is_its_joints_and_what_stays():
 )
 def test_what_is_read_here_the_codec_reads_with_the_same_numbers(place, cut, added):
     datagram = OWN[:place] + added + OWN[place + cut :]
-    joints = USUAL.joints(datagram)
-    if joints is None:
+    told = joints(datagram)
+    if told is None:
         return
     if USUAL.ipoc(datagram) > MAX_IPOC:
         with pytest.raises(TelegramError, match="32 bit"):
             CODEC.decode(datagram)
         return
     decoded = CODEC.decode(datagram)
-    told = [float(joints[USUAL.order.index(joint)]) for joint in range(6)]
     assert np.abs(decoded.q * AXES.reported - told).max() <= 1e-9 * np.abs(told).max()
     assert decoded.ipoc == USUAL.ipoc(datagram)
-    if USUAL.steady(datagram) == USUAL.steady(OWN):
+    if between(datagram) == between(OWN):
         assert decoded.delay == 3
         assert (decoded.q_programmed == CODEC.decode(OWN).q_programmed).all()

@@ -101,5 +101,4 @@ def test_bounds_allow_what_a_joint_may_travel_to_the_last_bit(edge, sign):
 def test_bounds_of_other_joints_are_no_bounds():
     with pytest.raises(ValueError, match="argument"):
         ReplyBounds.of((0.0,), MOST, LOWER, UPPER)
-    with pytest.raises(ValueError, match="argument"):
-        ReplyBounds.of((0.0, 0.0), MOST, LOWER, UPPER).allow([0.0])
+    assert not ReplyBounds.of((0.0, 0.0), MOST, LOWER, UPPER).allow([0.0])

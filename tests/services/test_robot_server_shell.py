@@ -1,6 +1,7 @@
 """The Robot Server's socket: the KRC is answered whoever else speaks, and no error of the socket goes further."""
 
 import re
+import signal
 import socket
 import threading
 from collections import Counter
@@ -152,6 +153,9 @@ def test_a_socket_holds_fewer_telegrams_than_are_drained(bench):
     assert 0 < held < MOST_WAITING
 
 
+IP_RECVERR = 11
+"""ip(7): an unconnected socket is told that nobody was there, too."""
+
 WAITS_S = 10.0
 """More than a datagram on the loopback takes."""
 
@@ -163,6 +167,7 @@ def expected(bench):
     server.take(Measurement(1036, FR.home, FR.home), 0.036)
     prepared = preparation(preparing(), server, bench.rsi, XML).after(bench.server.newest, False, 0.04)
     assert b"<IPOC>1048</IPOC>" in prepared.reply
+    bench.server.prepare_to_answer()
     bench.krc.settimeout(WAITS_S)
     return prepared
 
@@ -183,6 +188,13 @@ def test_the_expected_telegram_is_answered_with_the_prepared_reply_and_read_afte
     bench.krc.send(telegram(1060))  # of the next cycle: it waits
     assert bench.server.read(0.048, alone=True).ipoc == 1048
     assert bench.server.read(0.06).ipoc == 1060
+
+
+def test_values_that_are_no_joints_may_change(bench):
+    prepared = expected(bench)
+    bench.krc.send(telegram(1048).replace(b'X="0.0000"', b'X="-12.5"').replace(b'C="0.0000"', b'C="180.25"'))
+    assert answer(bench, prepared)
+    assert bench.krc.recv(4096) == prepared.reply
 
 
 @pytest.mark.parametrize(
@@ -244,6 +256,37 @@ def test_no_telegram_is_waited_for_longer_than_asked(bench):
     prepared = expected(bench)
     assert not bench.server.answer(prepared, lambda: False, 0.0)
     assert bench.server.read(0.048) is None
+
+
+def test_an_error_of_an_earlier_reply_is_counted_and_ends_the_wait(bench):
+    prepared = expected(bench)
+    bench.server.socket.setsockopt(socket.IPPROTO_IP, IP_RECVERR, 1)
+    bench.krc.close()
+    bench.server.send(b"nobody is there")
+    assert not answer(bench, prepared)
+    assert bench.counters["socket_errors"] == 1
+    assert bench.server.read(0.048) is None
+
+
+def test_a_signal_ends_the_wait_and_its_handler_has_run(bench):
+    prepared = expected(bench)
+    told = []
+    before = signal.signal(signal.SIGALRM, lambda *_: told.append(1))
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 1e-3)
+        while not told:
+            assert not answer(bench, prepared)
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    assert bench.counters["socket_errors"] == 0
+
+
+def test_what_was_waited_for_is_rehearsed_without_a_trace(bench):
+    prepared = expected(bench)
+    bench.server.rehearse(prepared)
+    bench.krc.send(telegram(1048))
+    assert answer(bench, prepared)
+    assert bench.krc.recv(4096) == prepared.reply
 
 
 def test_a_port_that_is_let_go_of_in_time_is_waited_for_and_one_line_says_so(bench, caplog):

@@ -14,6 +14,7 @@ from deltaq_protocol.guarded import Supervision
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.rsi import KrcCodec, TelegramError, load_ethernet_xml
 from deltaq_protocol.rsi.krc_codec import MAX_PRECISION
+from deltaq_services.robot_server.expected_telegram import is_expected
 from deltaq_services.robot_server.krc_file import preparation
 from deltaq_services.robot_server.mode_probe import ADRIFT
 from deltaq_services.robot_server.probe_trial import pulse_sums
@@ -76,7 +77,9 @@ class PreparedKrcSide(DecidedKrcSide):
     def _answered(self, datagram):
         prepared = self.preparation.after(self.newest, self.ending, self.time_s)
         is_prompt = (
-            prepared is not None and prepared.is_for(datagram) and self.driver.allows(prepared.correction)
+            prepared is not None
+            and is_expected(prepared.telegram, np.frombuffer(datagram, dtype=np.uint8), len(datagram))
+            and self.driver.allows(prepared.correction)
         )
         self.newest = b""
         cycle = self.server._cycle

@@ -1,4 +1,4 @@
-"""Telegrams read without an array, as far as it takes to see that they are what was expected.
+"""Telegrams in the layout that controllers write, as far as it takes to tell what the next one will be.
 
 What is read here is read by `SensorCodec.decode` too, with the same numbers; the converse need not hold.
 """
@@ -17,6 +17,9 @@ _NUMBER = r"[-+]?[0-9]{1,16}+(?:\.[0-9]{0,16}+)?+(?:[eE][-+]?[0-9]{1,2}+)?+"
 _GAP = r"\s*+"
 _IPOC, _IPOC_ENDS = b"<IPOC>", b"</IPOC>"
 
+NO_JOINT = -1
+"""In place of a joint: a value that is no joint's position."""
+
 
 class UsualTelegrams:
     """Reads telegrams of one robot.
@@ -26,47 +29,39 @@ class UsualTelegrams:
         axes: the robot's joints.
 
     Attributes:
-        order: (n,) which joint each of those is that `joints` returns.
         pattern: regular expression of a whole telegram.
+        order: (k,) whose position each of its values is that may vary while a session goes well: the joint's index, or
+            `NO_JOINT`. What the controller counts as late, and the programmed position, stay as they are.
         programmed: beginnings of the elements that hold the programmed position; none if it is not sent.
     """
 
     def __init__(self, config: EthernetConfig, axes: AxisMap) -> None:
         order: list[int] = []
-        steady: dict[str, None] = {}
+        programmed: dict[str, None] = {}
 
         def value(field: Field) -> str:
             internal, axis = field.element.internal, field.attribute or ""
+            if field.element.type is ElementType.STRING:
+                return '[^"<]*+'
+            if internal in ("ASPos", "ESPos"):
+                programmed[field.group] = None
             if internal in ("ASPos", "ESPos", "Delay"):
-                steady[field.group] = None
-            if internal in ("AIPos", "EIPos") and axis in axes.axes:
-                order.append(axes.axes.index(axis))
-                return f"({_NUMBER})"
-            return '[^"<]*+' if field.element.type is ElementType.STRING else _NUMBER
+                return _NUMBER
+            is_joint = internal in ("AIPos", "EIPos") and axis in axes.axes
+            order.append(axes.axes.index(axis) if is_joint else NO_JOINT)
+            return f"({_NUMBER})"
 
         pattern = document("Rob", '(?i:Type)="KUKA"', send_fields(config), value, _GAP)
         pattern = f"{_GAP}{pattern.replace('%IPOC%', '[0-9]{1,10}+')}{_GAP}"
         self.pattern = pattern
         self._match = re.compile(pattern.encode()).fullmatch
-        self._steady = tuple(f"<{group} ".encode() for group in steady)
-        self.programmed = tuple(f"<{group} " for group in steady if group != "Delay")
+        self.programmed = tuple(f"<{group} " for group in programmed)
         self.order = tuple(order)
 
-    def joints(self, datagram: bytes) -> tuple[bytes, ...] | None:
-        """The measured joints (n,), in the order of the telegram and as they were written; None if it is none of these.
-
-        They are decimal numbers in the controller's units.
-        """
+    def places(self, datagram: bytes) -> list[tuple[int, int]] | None:
+        """Where the values of `order` stand in such a telegram, first and behind the last byte; None if it is none."""
         match = self._match(datagram) if len(datagram) <= MAX_TELEGRAM_BYTES else None
-        return None if match is None else match.groups()
-
-    def steady(self, datagram: bytes) -> tuple[bytes, ...]:
-        """The elements of such a telegram that stay as they are while a session goes well: `ASPos`, `ESPos`, `Delay`.
-
-        There is no other place in any such telegram where one of them could stand.
-        """
-        starts = [datagram.index(name) for name in self._steady]
-        return tuple(datagram[start : datagram.index(b">", start) + 1] for start in starts)
+        return None if match is None else [match.span(1 + value) for value in range(len(self.order))]
 
     @staticmethod
     def ipoc(datagram: bytes) -> int:
@@ -74,6 +69,7 @@ class UsualTelegrams:
         return int(datagram[datagram.rindex(_IPOC) + len(_IPOC) : datagram.rindex(_IPOC_ENDS)])
 
     @staticmethod
-    def end(datagram: bytes, ipoc: int) -> bytes:
-        """Its end, from its IPOC on, with another one."""
-        return b"%b%d%b" % (_IPOC, ipoc, datagram[datagram.rindex(_IPOC_ENDS) :])
+    def with_ipoc(datagram: bytes, ipoc: int) -> bytes:
+        """The telegram with another IPOC."""
+        head, tail = datagram[: datagram.rindex(_IPOC)], datagram[datagram.rindex(_IPOC_ENDS) :]
+        return b"%b%b%d%b" % (head, _IPOC, ipoc, tail)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_protocol.rsi import AxisMap, SensorCodec, load_ethernet_xml
@@ -12,8 +13,10 @@ from deltaq_protocol.rsi.usual_telegram import UsualTelegrams
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.crash_brake.core import CrashPlan
 from deltaq_services.robot_server.crash_brake.record_maker import CrashRecordMaker
-from deltaq_services.robot_server.preparation import Preparation
 from deltaq_services.robot_server.rsi_driver import RsiDriver
+
+if TYPE_CHECKING:  # loads numba, which takes long, and which only those need who prepare replies
+    from deltaq_services.robot_server.preparation import Preparation
 
 
 def sensor_codec(cell: CellDescription, robot: str, ethernet_xml: Path) -> SensorCodec:
@@ -41,6 +44,8 @@ def preparation(
     assert isinstance(description.driver, RsiDescription)  # asked only of robots that speak RSI
     if not description.driver.prepared_replies:
         return None
+    from deltaq_services.robot_server.preparation import Preparation
+
     axes = AxisMap.of(description.joint_names, description.units, description.driver.krc)
     telegrams = UsualTelegrams(load_ethernet_xml(ethernet_xml), axes)
     return Preparation(cell, server, rsi, telegrams, axes, records)

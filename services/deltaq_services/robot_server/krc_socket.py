@@ -12,7 +12,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from itertools import chain
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from deltaq_cell.description import RsiDescription
 from deltaq_protocol.endpoint import Address
@@ -22,8 +22,11 @@ from deltaq_protocol.rsi.sensor_codec import MAX_TELEGRAM_BYTES
 from deltaq_services.robot_server.crash_brake.watch import CrashWatch
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.peer import DatagramSource, Peer
-from deltaq_services.robot_server.prepared_reply import PreparedReply
+from deltaq_services.robot_server.prepared_reply import Arrival, PreparedReply
 from deltaq_services.robot_server.rsi_driver import RsiDriver
+
+if TYPE_CHECKING:  # loads numba, which takes long, and which only those need who prepare replies
+    from deltaq_services.robot_server.telegram_wait import TelegramWait
 
 _log = logging.getLogger(__name__)
 
@@ -73,11 +76,10 @@ class KrcSocket:
         self._counters = counters
         self.newest, self.came_s = b"", 0.0
         self.watch: CrashWatch | None = None
+        self._telegram_wait: TelegramWait | None = None
         self._sock = _bound(driver, patience_s)
         self._sender: Address | None = None
         self._taken: tuple[bytes, Address] | None = None
-        self._incoming = select.poll()
-        self._incoming.register(self._sock.fileno(), select.POLLIN)
 
     def __enter__(self) -> Self:
         return self
@@ -91,6 +93,12 @@ class KrcSocket:
     def socket(self) -> socket.socket:
         """The socket itself, for the process that answers the KRC after this one."""
         return self._sock
+
+    def prepare_to_answer(self) -> None:
+        """Get ready for `answer`; loads, or makes, machine code."""
+        from deltaq_services.robot_server.telegram_wait import TelegramWait
+
+        self._telegram_wait = TelegramWait(self._sock, _DATAGRAM_BYTES)
 
     def wait(self, seconds: float) -> bool:
         """Wait so long for a datagram; whether there is one."""
@@ -108,7 +116,7 @@ class KrcSocket:
         """Wait for a datagram, and answer it if it is the telegram that a reply was prepared for.
 
         It has to be alone, and of the KRC that is believed. What is taken from the socket is left to `read`, whether it
-        was answered or not.
+        was answered or not. `prepare_to_answer` comes first.
 
         Args:
             prepared: the reply.
@@ -118,34 +126,30 @@ class KrcSocket:
         Returns:
             Whether it was answered; False too if none came.
         """
+        wait, peer = self._telegram_wait, self.peer.address
+        assert wait is not None  # there is one where replies are prepared
+        assert peer is not None  # and a KRC that was answered before
         self._sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _timeval(seconds))
-        try:
-            datagram, sender = self._taken = self._sock.recvfrom(_DATAGRAM_BYTES)
-        except BlockingIOError:
-            return False
-        except OSError:  # an earlier reply found nobody there
+        arrival = wait.next(prepared.telegram, peer)
+        self.came_s = time.monotonic()
+        is_answered = arrival is Arrival.EXPECTED and not is_void() and self._rsi.allows(prepared.correction)
+        if is_answered:
+            self._sender = peer
+            self.send_setpoint(prepared.reply, prepared.record)
+        if arrival is Arrival.ERROR:
             self._counters["socket_errors"] += 1
-            return False
-        finally:
-            self.came_s = time.monotonic()
-        if (
-            sender != self.peer.address
-            or is_void()
-            or self._incoming.poll(0)
-            or not prepared.is_for(datagram)
-        ):
-            return False
-        if not self._rsi.allows(prepared.correction):
-            return False
-        self._sender = sender
-        self.send_setpoint(prepared.reply, prepared.record)
-        return True
+        elif arrival is not Arrival.NOTHING:
+            self._taken = wait.taken()
+        return is_answered
 
     def rehearse(self, prepared: PreparedReply) -> None:
         """Do what `answer` does, on the telegram read last and without an answer: caches are warm right after."""
-        self._incoming.poll(0)
-        prepared.is_for(self.newest)
+        assert self._telegram_wait is not None  # there is one where replies are prepared
+        assert self._sender is not None  # a reply is prepared after another
+        self._telegram_wait.rehearse(prepared.telegram, self.newest, self._sender)
         self._rsi.allows(prepared.correction)
+        if self.watch is not None:
+            self.watch.begin(prepared.record, self._sender)
 
     def read(self, now_s: float, alone: bool = False) -> Measurement | None:
         """Read the newest telegram among all that waits.

@@ -19,6 +19,7 @@ from deltaq_protocol.rsi import AxisMap
 from deltaq_protocol.rsi.usual_telegram import UsualTelegrams
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.crash_brake.record_maker import CrashRecordMaker
+from deltaq_services.robot_server.expected_telegram import ExpectedTelegram
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.mode_probe import ADRIFT, ModeProbe
 from deltaq_services.robot_server.plausibility import Plausibility
@@ -81,7 +82,8 @@ class Preparation:
         """
         session, telegrams = self._rsi.session, self._telegrams
         last, step = session.last, session.step
-        if telegrams.joints(datagram) is None or last is None or last.q is None or step is None:
+        places = telegrams.places(datagram)
+        if places is None or last is None or last.q is None or step is None:
             return None
         if session.belief is not Belief.BELIEVED or telegrams.ipoc(datagram) != last.ipoc:
             return None
@@ -105,18 +107,18 @@ class Preparation:
             motion = self._ahead.motion
             left = self._records.record(datagram, ipoc, correction, setpoint.outputs, motion)
             record = self._records.body(left)
-        order = list(telegrams.order)
-        least, most = (lower * self._units)[order], (upper * self._units)[order]
-        return PreparedReply(
-            telegrams,
-            telegrams.steady(datagram),
-            telegrams.end(datagram, ipoc),
-            tuple((least + _HAIR * (1.0 + np.abs(least))).tolist()),
-            tuple((most - _HAIR * (1.0 + np.abs(most))).tolist()),
-            correction,
-            reply,
-            record,
-        )
+        expected = telegrams.with_ipoc(datagram, ipoc)
+        telegram = ExpectedTelegram.of(expected, places, *self._told_within(lower, upper))
+        return PreparedReply(telegram, correction, reply, record)
+
+    def _told_within(self, lower: Array, upper: Array) -> _Range:
+        """The same bounds (n,) as the values of a telegram keep to, each a hair within, and none for other values."""
+        least, most = lower * self._units, upper * self._units
+        least += _HAIR * (1.0 + np.abs(least))
+        most -= _HAIR * (1.0 + np.abs(most))
+        order = list(self._telegrams.order)
+        # what is no joint takes the last place
+        return np.append(least, -np.inf)[order], np.append(most, np.inf)[order]
 
     def _calm(self, memory: ServerMemory, q: Array) -> _Range:
         """Where joints that were at `q` (n,) make no difference to the reply."""

@@ -1,4 +1,4 @@
-"""A reply that is ready before its telegram comes, and what that telegram has to say for it.
+"""A reply that is ready before its telegram comes, and what that telegram has to be.
 
 Between a telegram and such a reply there are bytes and a few comparisons. A telegram that says anything else than what
 was expected has no prepared reply: it is read, judged and answered as if nothing had been prepared.
@@ -7,8 +7,24 @@ was expected has no prepared reply: it is read, judged and answered as if nothin
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
+from typing import TYPE_CHECKING
 
-from deltaq_protocol.rsi.usual_telegram import UsualTelegrams
+if TYPE_CHECKING:  # loads numba, which takes long, and which only those need who prepare replies
+    from deltaq_services.robot_server.expected_telegram import ExpectedTelegram
+
+
+class Arrival(IntEnum):
+    """How a wait for the telegram ended."""
+
+    NOTHING = 0
+    """Its time was over, or a signal came."""
+    ERROR = 1
+    """The socket had an error: an earlier reply found nobody there."""
+    OTHER = 2
+    """A datagram that is not what was expected."""
+    EXPECTED = 3
+    """The telegram that was expected, from its sender, and nothing behind it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -16,34 +32,14 @@ class PreparedReply:
     """One reply, for one IPOC.
 
     Attributes:
-        telegrams: reads them.
-        steady: elements that the telegram has to repeat of the one before it, see `UsualTelegrams`.
-        end: how it has to end: with the expected IPOC.
-        lower, upper: (n,) where its joints have to be, in its own order and units; wherever in there they are, the
-            reply is this one.
+        telegram: that it answers, see `expected_telegram`. Wherever its joints are within their bounds, the reply is
+            this one.
         correction: (n,) of the reply [rad or m].
         reply: the bytes.
         record: what to leave before it is sent, see `CrashRecordMaker`.
     """
 
-    telegrams: UsualTelegrams
-    steady: tuple[bytes, ...]
-    end: bytes
-    lower: tuple[float, ...]
-    upper: tuple[float, ...]
+    telegram: ExpectedTelegram
     correction: tuple[float, ...]
     reply: bytes
     record: bytes | None = None
-
-    def is_for(self, datagram: bytes) -> bool:
-        """Whether a datagram of the KRC is the telegram that was expected."""
-        joints = self.telegrams.joints(datagram)
-        if joints is None:
-            return False
-        for text, lower, upper in zip(joints, self.lower, self.upper, strict=True):
-            if not lower <= float(text) <= upper:
-                return False
-        for element in self.steady:
-            if element not in datagram:
-                return False
-        return datagram.endswith(self.end)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import le
 from typing import Literal
 
 _SLACK = 1.0 + 1e-6
@@ -85,7 +86,6 @@ class ReplyBounds:
 
     def allow(self, correction: Sequence[float]) -> bool:
         """Whether a correction (n,) may be sent; what is no number may not."""
-        for value, lower, upper in zip(correction, self.lower, self.upper, strict=True):
-            if not lower <= value <= upper:
-                return False
-        return True
+        if not len(correction) == len(self.lower) == len(self.upper):
+            return False
+        return all(map(le, self.lower, correction)) and all(map(le, correction, self.upper))

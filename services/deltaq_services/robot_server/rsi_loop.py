@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from deltaq_protocol.guarded import Admission, Supervision
 from deltaq_services.robot_server.core import RobotServer
@@ -23,9 +24,11 @@ from deltaq_services.robot_server.ending import Ending
 from deltaq_services.robot_server.guarded_link import GuardedLink
 from deltaq_services.robot_server.krc_socket import KrcSocket
 from deltaq_services.robot_server.measurement import Measurement
-from deltaq_services.robot_server.preparation import Preparation
 from deltaq_services.robot_server.prepared_reply import PreparedReply
 from deltaq_services.robot_server.rsi_driver import RsiDriver
+
+if TYPE_CHECKING:  # loads numba, which takes long, and which only those need who prepare replies
+    from deltaq_services.robot_server.preparation import Preparation
 
 _MARGIN_S = 0.0003
 """To fall asleep again before the telegram: it would wait for a preparation that is not done."""
@@ -85,6 +88,8 @@ class RsiLoop:
     ) -> None:
         self._server, self._rsi, self._krc = server, rsi, krc
         self._link, self._ending, self._preparation = link, ending, preparation
+        if preparation is not None:
+            krc.prepare_to_answer()
         self._cycle_s, self._silence_s, self._records = cycle_s, silence_s, records
         self._lead = Lead(cycle_s)
         self._silent_s = 0.0

@@ -8,6 +8,7 @@ from deltaq_services.robot_server.crash_brake.owner_mutex import MUTEX_BYTES, Ow
 from deltaq_services.robot_server.crash_brake.record import (
     NOTHING,
     SENT,
+    BegunRecord,
     CrashRecords,
     LastReply,
     PeerAddress,
@@ -32,6 +33,7 @@ class CrashMemory:
         self._file, self._records = file, records
         self._flags = records.total
         self._number = NOTHING
+        self._begun: tuple[bytes, PeerAddress, BegunRecord] | None = None
         self.mutex = OwnerMutex(file, records.total + _FLAGS_BYTES)
 
     @staticmethod
@@ -57,10 +59,24 @@ class CrashMemory:
     def released(self, is_released: bool) -> None:
         self._file[self._flags + _RELEASED] = is_released
 
+    def begin(self, body: bytes, peer: PeerAddress) -> None:
+        """Begin the record that is probably the next; arguments as of `CrashRecords.begun`."""
+        self._begun = body, peer, self._records.begun(body, self._number + 1, peer)
+
     def write(self, body: bytes, peer: PeerAddress, time_s: float) -> None:
-        """Leave a record; its reply is about to be sent. Arguments as of `CrashRecords.sealed`."""
-        self._number += 1
-        place, record = self._records.sealed(body, self._number, peer, time_s)
+        """Leave a record; its reply is about to be sent.
+
+        Args:
+            body: of the record.
+            peer: address of the KRC that is answered.
+            time_s: when its telegram came.
+        """
+        if self._begun is None or self._begun[0] is not body or self._begun[1] != peer:
+            self.begin(body, peer)
+        assert self._begun is not None  # it is begun now
+        record = self._begun[2].sealed(time_s)
+        place = self._begun[2].place
+        self._number, self._begun = self._number + 1, None
         self._file[place : place + len(record)] = record
 
     def sent(self) -> None:

@@ -15,8 +15,9 @@ PeerAddress = tuple[str, int]
 """Host, as four numbers with dots, and port."""
 
 _SUM = struct.Struct("=I")
-_HEAD = struct.Struct("=Qd4sH")
+_HEAD = struct.Struct("=Q4sH")
 _CYCLE = struct.Struct("=IIqIII")
+_TIME = struct.Struct("=d")
 SENT = struct.Struct("@Q")
 """Number of the record whose reply was sent last."""
 NOTHING = 0
@@ -72,6 +73,25 @@ class LastReply(NamedTuple):
     was_sent: bool
 
 
+class BegunRecord(NamedTuple):
+    """All of a sealed record but the time at which its telegram came.
+
+    Attributes:
+        place: where it belongs.
+        begins: its bytes up to the time, without the checksum.
+        checksum: of these bytes.
+    """
+
+    place: int
+    begins: bytes
+    checksum: int
+
+    def sealed(self, time_s: float) -> bytes:
+        """The whole record."""
+        time = _TIME.pack(time_s)
+        return _SUM.pack(zlib.crc32(time, self.checksum)) + self.begins + time
+
+
 class CrashRecords:
     """The layout of one robot's records.
 
@@ -87,7 +107,7 @@ class CrashRecords:
     def __init__(self, joints: int, outputs: int) -> None:
         self._joints, self._outputs = joints, outputs
         self._values = struct.Struct(f"={4 * joints}d{outputs}?")
-        self._bytes = _SUM.size + _HEAD.size + _CYCLE.size + self._values.size
+        self._bytes = _SUM.size + _HEAD.size + _CYCLE.size + self._values.size + _TIME.size
         self.size = -(-self._bytes // SENT.size) * SENT.size
         self.sent_at = 2 * self.size
         self.total = self.sent_at + SENT.size
@@ -105,18 +125,17 @@ class CrashRecords:
         values = (*record.correction, *record.plan_dq, *record.lower, *record.upper, *record.outputs)
         return cycle + self._values.pack(*values)
 
-    def sealed(self, body: bytes, number: int, peer: PeerAddress, time_s: float) -> tuple[int, bytes]:
-        """Where a record belongs, and its bytes.
+    def begun(self, body: bytes, number: int, peer: PeerAddress) -> BegunRecord:
+        """A record as far as it is known before its telegram comes.
 
         Args:
             body: of the record.
             number: one more than that of the record before.
             peer: address of the KRC that is answered.
-            time_s: when the telegram came.
         """
         host, port = peer
-        rest = _HEAD.pack(number, time_s, bytes(map(int, host.split("."))), port) + body
-        return (number & 1) * self.size, _SUM.pack(zlib.crc32(rest)) + rest
+        begins = _HEAD.pack(number, bytes(map(int, host.split("."))), port) + body
+        return BegunRecord((number & 1) * self.size, begins, zlib.crc32(begins))
 
     def newest(self, memory: bytes) -> LastReply | None:
         """The newest whole record; None if there is none that can be trusted.
@@ -136,7 +155,8 @@ class CrashRecords:
         (checksum,) = _SUM.unpack_from(sealed)
         if zlib.crc32(sealed[_SUM.size :]) != checksum:
             return None
-        number, time_s, host, port = _HEAD.unpack_from(sealed, _SUM.size)
+        number, host, port = _HEAD.unpack_from(sealed, _SUM.size)
+        (time_s,) = _TIME.unpack_from(sealed, self._bytes - _TIME.size)
         if number == NOTHING:
             return None
         begins = _SUM.size + _HEAD.size

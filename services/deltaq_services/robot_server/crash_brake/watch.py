@@ -101,6 +101,11 @@ class CrashWatch:
         else:
             self._memory.write(body, peer, time_s)
 
+    def begin(self, body: bytes | None, peer: Address) -> None:
+        """Do all of `write` that can be done before the telegram comes; another record may be left all the same."""
+        if body is not None:
+            self._memory.begin(body, peer)
+
     def sent(self) -> None:
         """The reply was handed to the network."""
         self._memory.sent()
