@@ -99,6 +99,11 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(HLI, "tcp_connections_open", "TCP connections that are open now"),
     Counted(
         HLI,
+        "tcp_connections_given_way",
+        "TCP connections that ended before they were taken up, because too many came",
+    ),
+    Counted(
+        HLI,
         "tcp_connections_refused",
         "TCP connections refused because all places were taken; a stop is still obeyed on them",
     ),

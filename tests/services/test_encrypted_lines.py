@@ -16,13 +16,13 @@ from small_cell import small_cell, told, tool_pose
 
 from deltaq_services.hli import handshake
 from deltaq_services.hli.client_roles import ClientRoles
-from deltaq_services.hli.handshake_places import (
-    MAX_HANDSHAKES,
-    MAX_HANDSHAKES_OF_A_PEER,
-    HandshakePlaces,
-)
 from deltaq_services.hli.line_encryption import line_encryption
 from deltaq_services.hli.shell import Hli
+from deltaq_services.hli.waiting_places import (
+    MAX_WAITING,
+    MAX_WAITING_OF_A_PEER,
+    WaitingPlaces,
+)
 
 TOKEN = "an operator's token"
 
@@ -89,7 +89,7 @@ async def test_beside_any_number_of_half_agreed_encryptions_a_client_is_served_a
     async with encrypted(files) as (hli, peer), contextlib.AsyncExitStack() as stack:
         port = peer.cell.tcp_port
         silent = []
-        for _ in range(MAX_HANDSHAKES + 20):
+        for _ in range(MAX_WAITING + 20):
             reader, writer = await asyncio.open_connection("127.0.0.1", port)
             stack.callback(writer.close)
             silent.append(reader)
@@ -99,7 +99,7 @@ async def test_beside_any_number_of_half_agreed_encryptions_a_client_is_served_a
         await client.ask("welcome", type="hello", protocol=1, client="late", token=None)
         await client.ask("done", type="stop")
         assert (await peer.commands.get()).kind == "stop"
-        assert len(hli._tcp.handshakes) <= MAX_HANDSHAKES
+        assert len(hli._tcp.handshakes) <= MAX_WAITING
         for reader in silent[:20]:  # those that were there first
             with contextlib.suppress(ConnectionResetError):
                 assert await reader.read() == b""
@@ -107,15 +107,15 @@ async def test_beside_any_number_of_half_agreed_encryptions_a_client_is_served_a
 
 
 def test_a_flood_from_one_address_ends_its_own_and_those_of_many_the_oldest() -> None:
-    places: HandshakePlaces[str] = HandshakePlaces()
+    places: WaitingPlaces[str] = WaitingPlaces()
     assert places.take("stop", "192.0.2.1") is None
-    for n in range(10 * MAX_HANDSHAKES):
+    for n in range(10 * MAX_WAITING):
         gave_way = places.take(f"flood {n}", "192.0.2.66")
-        older = n - MAX_HANDSHAKES_OF_A_PEER
+        older = n - MAX_WAITING_OF_A_PEER
         assert gave_way == (None if older < 0 else f"flood {older}")
-    for n in range(10 * MAX_HANDSHAKES):
+    for n in range(10 * MAX_WAITING):
         assert places.take(f"here {n}", "127.0.0.1") != "stop"
-        assert len(places) <= MAX_HANDSHAKES
+        assert len(places) <= MAX_WAITING
     places.leave("stop")
     places.leave("stop")
     assert places.take("again", "192.0.2.1") is None

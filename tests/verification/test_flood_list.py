@@ -28,9 +28,28 @@ def test_the_list_has_every_kind_of_flood() -> None:
 
 def test_a_row_tells_states_braked_cycles_and_how_long_a_stop_took() -> None:
     row = FloodRow(
-        "lines", 1234.5, FloodFigures(166.0, 1, 1.0), FloodFigures(83.0, 20, 0.9), 0.5, 0.0214, None
+        "lines",
+        1234.5,
+        FloodFigures(166.0, 1, 1.0),
+        FloodFigures(83.0, 20, 0.9),
+        0.5,
+        (0.0214, None, 0.02),
+        (),
     )
-    assert _line(row).split() == ["lines", "1234", "166", "->", "83", "50.0%", "1", "->", "20", "21", "-"]
+    assert _line(row).split() == [
+        "lines",
+        "1234",
+        "166",
+        "->",
+        "83",
+        "50.0%",
+        "1",
+        "->",
+        "20",
+        "21,",
+        "inf",
+        "-",
+    ]
 
 
 def test_a_handshake_is_begun_as_tls_begins_one() -> None:

@@ -7,7 +7,7 @@ import ssl
 from collections.abc import Callable
 
 from deltaq_protocol.certified.names import person_named
-from deltaq_services.hli.handshake_places import HandshakePlaces
+from deltaq_services.hli.waiting_places import WaitingPlaces
 
 HANDSHAKE_S = 5.0
 """Connections that do not agree on their encryption until then end."""
@@ -30,7 +30,7 @@ class Handshake(asyncio.Protocol):
         encryption: ssl.SSLContext,
         begin: Callable[[], asyncio.Protocol],
         failed: Callable[[asyncio.BaseTransport, str], None],
-        places: HandshakePlaces[Handshake],
+        places: WaitingPlaces[Handshake],
     ) -> None:
         self._loop, self._encryption = loop, encryption
         self._begin, self._failed = begin, failed

@@ -68,6 +68,13 @@ class ReceivedLines:
         self._searched = 0
 
 
+def holds_stop(data: bytes) -> bool:
+    """Whether a whole stop is among the first bytes of a connection."""
+    lines = ReceivedLines()
+    lines.add(data)
+    return lines.take_stop(0)
+
+
 def _is_stop(line: bytes) -> bool:
     try:
         return line_to_map(line).get("type") == "stop"

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import socket
 import ssl
 from collections import Counter
+from collections.abc import Callable
 from functools import cached_property, partial
 
 from deltaq_protocol.audit import AuditKind, AuditOutcome
@@ -15,11 +15,12 @@ from deltaq_protocol.messages import Error, Hello, RobotState
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.deeds import Deed
 from deltaq_services.hli.handshake import Handshake
-from deltaq_services.hli.handshake_places import HandshakePlaces
 from deltaq_services.hli.line_turns import LineTurns
+from deltaq_services.hli.newcomers import Newcomers
 from deltaq_services.hli.places import MAX_CONNECTIONS, MAX_OF_A_PEER, Place, Places
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.tcp_connection import TcpConnection, address_of
+from deltaq_services.hli.waiting_places import WaitingPlaces
 from deltaq_services.outputs import ClientOrigin
 from deltaq_services.tries import Tries
 
@@ -29,10 +30,6 @@ _LINES_A_TURN = 16
 """Lines served before the loop turns to others: robots' states, and who else is there."""
 _WAIT_S = 0.005
 """Where lines wait for their rates, they are looked at again after this."""
-_ACCEPTED_A_TURN = 8
-"""Connections taken up before the loop turns to others."""
-_WAITING_CONNECTIONS = 1024
-"""Connections that the system keeps until they are taken up; beyond, a newcomer waits for a second."""
 
 
 class TcpFront:
@@ -45,11 +42,11 @@ class TcpFront:
 
     def __init__(self, port: Port) -> None:
         self._port = port
-        self._server: asyncio.Server | None = None
+        self._newcomers: Newcomers | None = None
         self._places: Places[TcpConnection] = Places()
         self._turns: LineTurns[TcpConnection] = LineTurns()
         self._tries = Tries()
-        self.handshakes: HandshakePlaces[Handshake] = HandshakePlaces()
+        self.handshakes: WaitingPlaces[Handshake] = WaitingPlaces()
         self._is_scheduled = False
         self.counters: Counter[str] = Counter()
 
@@ -69,16 +66,12 @@ class TcpFront:
         Raises:
             OSError: if the address cannot be listened on.
         """
-        self._server = await self._port.loop.create_server(
-            self._new_connection if encryption is None else partial(self._new_handshake, encryption),
-            address,
-            tcp_port,
-            backlog=_ACCEPTED_A_TURN,
-        )
-        for listener in self._server.sockets:
-            # asyncio takes the length of the system's queue for the number that it accepts at once
-            with socket.socket(fileno=listener.dup().detach()) as same:
-                same.listen(_WAITING_CONNECTIONS)
+        begin: Callable[[], asyncio.Protocol] = self._new_connection
+        if encryption is not None:
+            begin = partial(self._new_handshake, encryption)
+        newcomers = Newcomers(self._port.loop, begin, encryption is not None, self.counters)
+        await newcomers.listen(address, tcp_port)
+        self._newcomers = newcomers
 
     def admit(self, connection: TcpConnection, address: str) -> bool:
         """Accept a connection: as a client's or, if no place is left, only for a stop."""
@@ -143,13 +136,12 @@ class TcpFront:
 
     async def close(self) -> None:
         """Stop serving and close every connection."""
-        if self._server is not None:
-            self._server.close()
-            # forgotten first: a connection that the server closes is no lost controller
-            connections, self._places = self.connections, Places()
-            for connection in connections:
-                connection.close()
-            await self._server.wait_closed()
+        if self._newcomers is not None:
+            await self._newcomers.close()
+        # forgotten first: a connection that the server closes is no lost controller
+        connections, self._places = self.connections, Places()
+        for connection in connections:
+            connection.close()
 
     def _new_connection(self) -> TcpConnection:
         return TcpConnection(self._port, self)

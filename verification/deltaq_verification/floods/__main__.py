@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import tempfile
 from dataclasses import asdict
 from pathlib import Path
+from statistics import median
 
 from deltaq_launch.private_cell import write_private_cell
 from deltaq_protocol.errors import DeltaqError
@@ -20,7 +22,8 @@ from deltaq_verification.floods.attacks import ATTACKS
 from deltaq_verification.floods.measure import FloodRow, measure
 
 _HEADING = (
-    f"{'flood':30} {'steps/s':>9} {'states/s':>15} {'kept':>7} {'braked':>9} {'stop ms':>9} {'by line':>9}"
+    f"{'flood':30} {'steps/s':>9} {'states/s':>15} {'kept':>7} {'braked':>9} {'stop ms':>13} {'by line':>13}"
+    "   (stops: median, longest)"
 )
 
 
@@ -39,6 +42,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--attackers", type=int, default=2, help="processes that flood (default: %(default)s)"
     )
+    parser.add_argument("--stops", type=int, default=10, help="each way, in a flood (default: %(default)s)")
     parser.add_argument("--json", action="store_true", help="one JSON object a line instead of a table")
     given = parser.parse_args(arguments)
     if not given.json:
@@ -47,7 +51,7 @@ def main(arguments: list[str] | None = None) -> int:
         with tempfile.TemporaryDirectory() as folder:
             cell = str(write_private_cell(Path(folder), given.cell))
             names = given.attack or ATTACKS
-            for row in measure(cell, given.robot, names, given.duration_s, given.attackers):
+            for row in measure(cell, given.robot, names, given.duration_s, given.attackers, given.stops):
                 print(json.dumps(asdict(row)) if given.json else _line(row), flush=True)
     except DeltaqError as error:
         print(f"deltaq_verification.floods: {error}", file=sys.stderr)
@@ -56,14 +60,17 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _line(row: FloodRow) -> str:
-    def ms(value: float | None) -> str:
-        return "-" if value is None else f"{value * 1000:.0f}"
+    def ms(took: tuple[float | None, ...]) -> str:
+        if not took:
+            return "-"
+        times = sorted(math.inf if one is None else one * 1000.0 for one in took)
+        return f"{median(times):.0f}, {times[-1]:.0f}"
 
     states = f"{row.without.states_hz:.0f} -> {row.during.states_hz:.0f}"
     braked = f"{row.without.braked_cycles} -> {row.during.braked_cycles}"
     return (
         f"{row.attack:30} {row.steps_s:9.0f} {states:>15} {row.states_kept:7.1%} {braked:>9} "
-        f"{ms(row.stop_s):>9} {ms(row.line_stop_s):>9}"
+        f"{ms(row.stop_s):>13} {ms(row.line_stop_s):>13}"
     )
 
 

@@ -60,9 +60,9 @@ class FloodRow:
         without: right before it.
         during: while it lasts.
         states_kept: share of the states.
-        stop_s: from the question for a stop to the answer that all robots are held, over a session that was there
+        stop_s: from each question for a stop to the answer that all robots are held, over a session that was there
             before [s]; None: no answer in time.
-        line_stop_s: the same over a new connection; None also where lines are encrypted, which is not measured.
+        line_stop_s: the same over a new connection each; none where lines are encrypted, which is not measured.
     """
 
     attack: str
@@ -70,12 +70,12 @@ class FloodRow:
     without: FloodFigures
     during: FloodFigures
     states_kept: float
-    stop_s: float | None
-    line_stop_s: float | None
+    stop_s: tuple[float | None, ...]
+    line_stop_s: tuple[float | None, ...]
 
 
 def measure(
-    cell_name: str, robot: str, names: Iterable[str], duration_s: float, attackers: int
+    cell_name: str, robot: str, names: Iterable[str], duration_s: float, attackers: int, stops: int
 ) -> Iterator[FloodRow]:
     """Figures beside each of these attacks.
 
@@ -85,6 +85,7 @@ def measure(
         names: of attacks.
         duration_s: of each count, without a flood and during one.
         attackers: processes that flood at a time.
+        stops: that are asked for each way, of a robot that moves; while others ask for stops none does.
     """
     chosen = {name: ATTACKS[name] for name in names}
     for is_encrypted in (False, True):
@@ -92,7 +93,7 @@ def measure(
         if group:
             with _certificate() if is_encrypted else _unchanged(), _Bench(cell_name, robot) as bench:
                 for name, attack in group.items():
-                    yield bench.row(name, attack, duration_s, attackers)
+                    yield bench.row(name, attack, duration_s, attackers, stops)
 
 
 class _Bench:
@@ -131,20 +132,32 @@ class _Bench:
             self._connection.__exit__(None, None, None)
         self._launcher.__exit__(*about)
 
-    def row(self, name: str, attack: Attack, duration_s: float, attackers: int) -> FloodRow:
+    def row(self, name: str, attack: Attack, duration_s: float, attackers: int, stops: int) -> FloodRow:
         """The figures of one attack."""
         self._set_moving()
         without = self._figures(duration_s)
         with _flood(self._cell_name, name, attackers) as said:
             time.sleep(_SETTLES_S)
             during = self._figures(duration_s)
-            stop_s = self._stopped(lambda: self._running.stop())
-            if not attack.stops:
-                self._set_moving()
-            over_line = None if attack.encrypted else self._stopped(lambda: stop_over_a_line(self._cell))
-        return FloodRow(
-            name, said(), without, during, during.states_hz / without.states_hz, stop_s, over_line
-        )
+            over_session, over_line = self._stops(attack, stops)
+        kept = during.states_hz / without.states_hz
+        return FloodRow(name, said(), without, during, kept, tuple(over_session), tuple(over_line))
+
+    def _stops(self, attack: Attack, stops: int) -> tuple[list[float | None], list[float | None]]:
+        """How long each stop took, over the session and over lines, in turns [s]."""
+        over_session: list[float | None] = []
+        over_line: list[float | None] = []
+        ways: list[tuple[list[float | None], Callable[[], object]]] = [
+            (over_session, lambda: self._running.stop())
+        ]
+        if not attack.encrypted:
+            ways.append((over_line, lambda: stop_over_a_line(self._cell)))
+        for _ in range(stops):
+            for took, stop in ways:
+                if not attack.stops:
+                    self._set_moving()
+                took.append(self._stopped(stop))
+        return over_session, over_line
 
     def _counter(self, robot: str) -> Callable[[Any], None]:
         def count(_: Any) -> None:

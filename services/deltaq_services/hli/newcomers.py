@@ -1,0 +1,176 @@
+"""TCP connections until they are taken up.
+
+To make a client of a connection takes longer than to open one, so that a flood fills the system's queue; whoever comes
+then is served after all of it, or has to knock again a fifth of a second later. So all connections are let in as they
+come, which costs little, and then taken up in this order: those that have brought a stop, those that have brought
+anything, the others; each time the newest first, and without a stop not more in a second than a cell can bear.
+
+What comes over an encrypted connection nobody can tell before it is taken up. Such ones are let in in their order, as
+they are taken up.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import select
+import socket
+from collections import Counter
+from collections.abc import Callable
+from itertools import islice
+
+from deltaq_services.hli.received_lines import holds_stop
+from deltaq_services.hli.waiting_places import WaitingPlaces
+from deltaq_services.rate_limit import RateLimit
+
+_log = logging.getLogger(__name__)
+
+_LET_IN_A_TURN = 64
+"""Connections that are let in before the loop turns to others."""
+_TAKEN_UP_A_TURN = 8
+_TAKEN_UP_A_SECOND = 256.0
+"""Without a stop."""
+_QUEUE = 1024
+"""Connections that the system keeps until they are let in."""
+_LOOK_S = 0.005
+"""Between two looks at those that have to wait."""
+_REST_S = 1.0
+"""After an error of the system, as for want of descriptors."""
+_PEEKED_BYTES = 4096
+
+
+class Newcomers:
+    """Listens, and hands over connections.
+
+    Args:
+        loop: the event loop.
+        begin: makes the protocol of a connection that is taken up.
+        is_encrypted: whether what they bring cannot be read before they are taken up.
+        counters: what is counted.
+    """
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        begin: Callable[[], asyncio.Protocol],
+        is_encrypted: bool,
+        counters: Counter[str],
+    ) -> None:
+        self._loop, self._begin, self._counters = loop, begin, counters
+        self._rate = None if is_encrypted else RateLimit(_TAKEN_UP_A_SECOND)
+        self._let_in_a_turn = _TAKEN_UP_A_TURN if is_encrypted else _LET_IN_A_TURN
+        self._listeners: list[socket.socket] = []
+        self._waiting: WaitingPlaces[socket.socket] = WaitingPlaces()
+        self._silent: dict[int, socket.socket] = {}
+        self._spoken: dict[socket.socket, bool] = {}
+        self._heard = select.poll()
+        self._taken_up: set[asyncio.Task[None]] = set()
+        self._look: asyncio.Handle | None = None
+
+    async def listen(self, address: str, port: int) -> None:
+        """Let connections in from now on.
+
+        Raises:
+            OSError: if the address cannot be listened on.
+        """
+        bound = await self._loop.create_server(self._begin, address, port, start_serving=False)
+        self._listeners = [socket.socket(fileno=each.dup().detach()) for each in bound.sockets]
+        bound.close()
+        for listener in self._listeners:
+            listener.setblocking(False)
+            listener.listen(_QUEUE)
+            self._loop.add_reader(listener, self._let_in, listener)
+
+    async def close(self) -> None:
+        """Let nobody in any more, and send away who waits."""
+        for listener in self._listeners:
+            self._loop.remove_reader(listener)
+            listener.close()
+        self._listeners = []
+        if self._look is not None:
+            self._look.cancel()
+        for one in list(self._waiting):
+            self._send_away(one)
+        await asyncio.gather(*self._taken_up)
+
+    def _let_in(self, listener: socket.socket) -> None:
+        for _ in range(self._let_in_a_turn):
+            try:
+                one, address = listener.accept()
+            except (BlockingIOError, InterruptedError, ConnectionAbortedError):
+                break
+            except OSError as error:
+                _log.error("no connection can be let in: %s", error)
+                self._loop.remove_reader(listener)
+                self._loop.call_later(_REST_S, self._go_on, listener)
+                break
+            one.setblocking(False)
+            gives_way = self._waiting.take(one, address[0])
+            if gives_way is not None:
+                self._counters["tcp_connections_given_way"] += 1
+                self._send_away(gives_way)
+            self._silent[one.fileno()] = one
+            self._heard.register(one, select.POLLIN)
+        if self._look is None and len(self._waiting):
+            self._look = self._loop.call_soon(self._take_up)
+
+    def _go_on(self, listener: socket.socket) -> None:
+        if listener in self._listeners:
+            self._loop.add_reader(listener, self._let_in, listener)
+
+    def _take_up(self) -> None:
+        """Take up some of those that wait."""
+        self._look = None
+        self._listen_to_the_silent()
+        chosen = list(islice((one for one in self._waiting if self._spoken.get(one)), _TAKEN_UP_A_TURN))
+        spoken = (one for one in self._waiting if self._spoken.get(one) is False)
+        silent = (one for one in self._waiting if one not in self._spoken)
+        for others in (spoken, silent):
+            for one in others:
+                if len(chosen) == _TAKEN_UP_A_TURN or not self._may_take_up():
+                    break
+                chosen.append(one)
+        for one in chosen:
+            self._forget(one)
+            task = self._loop.create_task(self._hand_over(one))
+            self._taken_up.add(task)
+            task.add_done_callback(self._taken_up.discard)
+        if len(self._waiting):
+            again = self._take_up
+            self._look = self._loop.call_soon(again) if chosen else self._loop.call_later(_LOOK_S, again)
+
+    def _may_take_up(self) -> bool:
+        return self._rate is None or self._rate.take(self._loop.time())
+
+    def _listen_to_the_silent(self) -> None:
+        """Look once at what each has brought first; it stays to be read."""
+        for descriptor, _ in self._heard.poll(0):
+            one = self._silent[descriptor]
+            try:
+                brought = one.recv(_PEEKED_BYTES, socket.MSG_PEEK)
+            except OSError:
+                brought = b""
+            if brought:
+                self._no_longer_silent(one)
+                self._spoken[one] = holds_stop(brought)
+            else:
+                self._send_away(one)
+
+    async def _hand_over(self, one: socket.socket) -> None:
+        try:
+            await self._loop.connect_accepted_socket(self._begin, one)
+        except OSError:  # it has ended
+            one.close()
+
+    def _send_away(self, one: socket.socket) -> None:
+        self._forget(one)
+        one.close()
+
+    def _forget(self, one: socket.socket) -> None:
+        self._waiting.leave(one)
+        if self._spoken.pop(one, None) is None:
+            self._no_longer_silent(one)
+
+    def _no_longer_silent(self, one: socket.socket) -> None:
+        del self._silent[one.fileno()]
+        self._heard.unregister(one)

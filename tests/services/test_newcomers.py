@@ -1,0 +1,209 @@
+"""Connections that wait to be taken up: stops first, then who has said something, and nobody for ever."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections import Counter
+from collections.abc import AsyncIterator, Iterator
+
+import pytest
+
+from deltaq_launch.private_cell import free_ports
+from deltaq_services.hli import newcomers
+from deltaq_services.hli.newcomers import Newcomers
+from deltaq_services.hli.waiting_places import MAX_WAITING
+
+STOP = b'{"type":"stop"}\n'
+HELLO = b'{"type":"hello","protocol":1,"client":"x"}\n'
+
+
+class Taken(asyncio.Protocol):
+    """One that was taken up, and what it read."""
+
+    def __init__(self, bench: Bench) -> None:
+        self._bench = bench
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._bench.transports.append(transport)
+        self._bench.ports.append(transport.get_extra_info("peername")[1])
+
+    def data_received(self, data: bytes) -> None:
+        self._bench.read += data
+
+
+class Bench:
+    """Who listens, who has been taken up, and who connects."""
+
+    def __init__(self, is_encrypted: bool = False) -> None:
+        self.port = free_ports(1)[0]
+        self.counters: Counter[str] = Counter()
+        self.ports: list[int] = []
+        self.transports: list[asyncio.BaseTransport] = []
+        self.read = b""
+        self.clients: list[socket.socket] = []
+        loop = asyncio.get_running_loop()
+        self.newcomers = Newcomers(loop, lambda: Taken(self), is_encrypted, self.counters)
+
+    def connected(self, says: bytes = b"") -> socket.socket:
+        client = socket.create_connection(("127.0.0.1", self.port))
+        self.clients.append(client)
+        client.sendall(says)
+        return client
+
+    async def taken(self, client: socket.socket) -> None:
+        """Wait until a client has been taken up."""
+        async with asyncio.timeout(300):
+            while client.getsockname()[1] not in self.ports:
+                await asyncio.sleep(0)
+
+    async def let_in(self, count: int) -> None:
+        """Wait until so many have been let in, whatever became of them."""
+        async with asyncio.timeout(300):
+            while len(self.ports) + len(self.newcomers._waiting) + self.counters.total() < count:
+                await asyncio.sleep(0)
+
+
+@pytest.fixture
+def none_without_a_stop(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """As when so many have been taken up that the others have to wait."""
+    monkeypatch.setattr(newcomers, "_TAKEN_UP_A_SECOND", 0.5)
+    return
+
+
+@pytest.fixture
+async def bench() -> AsyncIterator[Bench]:
+    bench = Bench()
+    await bench.newcomers.listen("127.0.0.1", bench.port)
+    yield bench
+    await bench.newcomers.close()
+    for transport in bench.transports:
+        transport.close()
+    for client in bench.clients:
+        client.close()
+
+
+async def test_who_connects_is_taken_up_with_all_that_it_said_before(bench: Bench) -> None:
+    await bench.taken(bench.connected(HELLO + STOP))
+    async with asyncio.timeout(300):
+        while bench.read != HELLO + STOP:
+            await asyncio.sleep(0)
+
+
+async def test_who_says_nothing_is_taken_up_too(bench: Bench) -> None:
+    await bench.taken(bench.connected())
+
+
+@pytest.mark.usefixtures("none_without_a_stop")
+async def test_a_stop_is_taken_up_whoever_waits(bench: Bench) -> None:
+    for says in (b"", HELLO) * 20:
+        bench.connected(says)
+    await bench.let_in(40)
+    stop = bench.connected(HELLO + STOP)
+    await bench.taken(stop)
+    assert len(bench.ports) == 1
+
+
+@pytest.mark.usefixtures("none_without_a_stop")
+async def test_a_stop_that_is_said_after_a_while_is_taken_up(bench: Bench) -> None:
+    client = bench.connected()
+    await bench.let_in(1)
+    for _ in range(10):
+        await asyncio.sleep(0)
+    client.sendall(STOP)
+    await bench.taken(client)
+
+
+@pytest.mark.usefixtures("none_without_a_stop")
+async def test_what_only_looks_like_a_stop_is_not_taken_up_before_others(bench: Bench) -> None:
+    bench.connected(b'{"stop":1}\n')
+    bench.connected(b'"stop"')
+    await bench.let_in(2)
+    for _ in range(100):
+        await asyncio.sleep(0)
+    assert not bench.ports
+
+
+async def test_who_has_said_something_is_taken_up_before_who_has_not(
+    monkeypatch: pytest.MonkeyPatch, bench: Bench
+) -> None:
+    monkeypatch.setattr(newcomers, "_LET_IN_A_TURN", 2)
+    monkeypatch.setattr(newcomers, "_TAKEN_UP_A_TURN", 1)
+    spoken, silent = bench.connected(HELLO), bench.connected()
+    await bench.taken(silent)
+    await bench.taken(spoken)
+    assert bench.ports == [client.getsockname()[1] for client in (spoken, silent)]
+
+
+@pytest.mark.usefixtures("none_without_a_stop")
+async def test_of_too_many_the_oldest_gives_way(bench: Bench) -> None:
+    first = bench.connected()
+    for _ in range(MAX_WAITING):
+        bench.connected()
+    await bench.let_in(MAX_WAITING + 1)
+    assert bench.counters == {"tcp_connections_given_way": 1}
+    first.settimeout(300.0)
+    assert await asyncio.to_thread(first.recv, 1) == b""
+
+
+@pytest.mark.usefixtures("none_without_a_stop")
+async def test_who_leaves_again_leaves_nothing_behind(bench: Bench) -> None:
+    for _ in range(20):
+        bench.connected().close()
+    async with asyncio.timeout(300):
+        stop = bench.connected(STOP)
+        await bench.taken(stop)
+        while len(bench.newcomers._waiting):
+            await asyncio.sleep(0)
+    assert not bench.newcomers._silent
+    assert not bench.newcomers._spoken
+
+
+@pytest.mark.usefixtures("none_without_a_stop")
+async def test_who_waits_at_the_end_is_sent_away(bench: Bench) -> None:
+    silent, spoken = bench.connected(), bench.connected(HELLO)
+    await bench.let_in(2)
+    await bench.newcomers.close()
+    for client in (silent, spoken):
+        client.settimeout(300.0)
+        try:
+            assert await asyncio.to_thread(client.recv, 1) == b""
+        except ConnectionResetError:  # it had said something that nobody read
+            assert client is spoken
+
+
+@pytest.mark.usefixtures("none_without_a_stop")
+async def test_of_encrypted_ones_all_are_taken_up() -> None:
+    bench = Bench(is_encrypted=True)
+    await bench.newcomers.listen("127.0.0.1", bench.port)
+    for client in [bench.connected() for _ in range(2 * MAX_WAITING)]:
+        await bench.taken(client)
+    await bench.newcomers.close()
+    for end in (*bench.transports, *bench.clients):
+        end.close()
+    assert not bench.counters
+
+
+async def test_an_error_of_the_system_is_told_and_outlived(
+    monkeypatch: pytest.MonkeyPatch, bench: Bench, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(newcomers, "_REST_S", 0.001)
+    (listener,) = bench.newcomers._listeners
+
+    class Exhausted:
+        """Has no descriptor left, once."""
+
+        fileno, close = listener.fileno, listener.close
+        failed = False
+
+        def accept(self) -> tuple[socket.socket, tuple[str, int]]:
+            if not self.failed:
+                self.failed = True
+                raise OSError(24, "Too many open files")
+            return listener.accept()
+
+    exhausted = Exhausted()
+    monkeypatch.setattr(bench.newcomers, "_listeners", [exhausted])
+    bench.newcomers._let_in(exhausted)
+    assert caplog.messages == ["no connection can be let in: [Errno 24] Too many open files"]
+    await bench.taken(bench.connected())
