@@ -146,7 +146,7 @@ def figures(cell: str, chromium: str, presses: int = PRESSES) -> dict[str, objec
     services = cell_services(description, cell)
     console = console_service(description, cell, services)
     with ExitStack() as stack:
-        launcher = stack.enter_context(Launcher([*services, console], LastLines()))
+        launcher = stack.enter_context(Launcher([*services, console], LastLines(), signals_raise=True))
         launcher.start()
         server = launcher.children["console"].pid
         url = console.endpoint
@@ -194,7 +194,8 @@ def admission(cell: str, chromium: str) -> dict[str, float]:
     console = console_service(description, cell, services)
     admitted = {"page_open": 0, "without": 0}
     with ExitStack() as stack:
-        launcher = Launcher([*services, console, *demo_controllers(description)], LastLines())
+        started = [*services, console, *demo_controllers(description)]
+        launcher = Launcher(started, LastLines(), signals_raise=True)
         stack.enter_context(launcher).start(_COMPILED_WITHIN_S)
         running = stack.enter_context(connect(description, "figures"))
         browser = stack.enter_context(sync_playwright()).chromium.launch(executable_path=chromium, args=FLAGS)

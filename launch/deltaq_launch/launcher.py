@@ -57,8 +57,9 @@ class Launcher:
 
     Services of a guarded realm get a key that this launch makes, unless the environment names one: see `LaunchKey`;
     consoles and controllers get the tokens that `given_tokens` tells of.
-    SIGINT, SIGTERM and SIGHUP are events inside the block if the thread is the main one. Should this process be
-    killed, its warden ends the services, those last that robots need to come to rest.
+    SIGINT, SIGTERM and SIGHUP are events inside the block if the thread is the main one; or they raise
+    KeyboardInterrupt there, for whoever does not wait for events. Should this process be killed, its warden ends the
+    services, those last that robots need to come to rest.
     """
 
     def __init__(
@@ -68,6 +69,7 @@ class Launcher:
         bring_to_rest: Callable[[], None] | None = None,
         grace_s: float = GRACE_S,
         python: Sequence[str] = (sys.executable,),
+        signals_raise: bool = False,
     ) -> None:
         """Prepare; nothing starts yet.
 
@@ -77,6 +79,7 @@ class Launcher:
             bring_to_rest: called before services are stopped while robots may still move.
             grace_s: how long a service may take to end by itself.
             python: the interpreter that runs the services.
+            signals_raise: signals are no events, but raise KeyboardInterrupt.
         """
         self.services = tuple(services)
         self.children: dict[str, Child] = {}
@@ -85,6 +88,7 @@ class Launcher:
         self._bring_to_rest = bring_to_rest
         self._grace_s = grace_s
         self._python = tuple(python)
+        self._signals_raise = signals_raise
         # signal handlers may put into a SimpleQueue at any time, not into a Queue
         self._events: queue.SimpleQueue[LauncherEvent] = queue.SimpleQueue()
         self._handlers: dict[signal.Signals, Any] = {}
@@ -101,6 +105,7 @@ class Launcher:
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._signals_raise = False  # nothing keeps the robots from coming to rest
         try:
             self.stop()
         finally:
@@ -196,6 +201,8 @@ class Launcher:
         return name == "hli" and name in self.ready
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:  # noqa: ARG002 - signal's signature
+        if self._signals_raise:
+            raise KeyboardInterrupt
         self._events.put(Interrupted(signal.Signals(number)))
 
     def _start(self, services: Sequence[Service], timeout_s: float) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -38,10 +36,8 @@ def live_cell(folder: Path, cell: str | Path = "lab", robot: str | None = None) 
     records.mkdir()
     services = [_recording(service, records) for service in cell_services(description, str(loaded.file))]
     with ExitStack() as stack:
-        interrupted = signal.getsignal(signal.SIGINT)
-        launcher = stack.enter_context(Launcher(services, lambda *_: None))
-        if threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGINT, interrupted)  # Ctrl-C ends the tests, whose end ends the cell
+        # Ctrl-C ends the tests, whose end ends the cell
+        launcher = stack.enter_context(Launcher(services, lambda *_: None, signals_raise=True))
         panels = {name: stack.enter_context(PanelClient(description, name)) for name in loaded.model.robots}
         launcher.start()
         live = LiveCell(loaded, robot or next(iter(panels)), launcher, panels, records)

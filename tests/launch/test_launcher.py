@@ -200,6 +200,36 @@ def test_a_signal_is_an_event_while_services_run() -> None:
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_who_does_not_wait_for_events_is_interrupted_and_the_services_end(number: signal.Signals) -> None:
+    launcher = Launcher([service("sim", SERVES)], nothing, signals_raise=True)
+    before = signal.getsignal(number)
+
+    def interrupted() -> None:
+        with launcher:
+            launcher.start()
+            os.kill(os.getpid(), number)
+            threading.Event().wait(300)
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert launcher.children["sim"].status == -signal.SIGTERM
+    assert signal.getsignal(number) is before
+
+
+def test_nothing_interrupts_the_end() -> None:
+    def interrupted_again() -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        asked.append(True)
+
+    asked: list[bool] = []
+    launcher = Launcher([service("hli", SERVES)], nothing, interrupted_again, signals_raise=True)
+    with launcher:
+        launcher.start()
+    assert asked == [True]
+    assert launcher.children["hli"].status == -signal.SIGTERM
+
+
 def test_a_signal_ends_a_start() -> None:
     with Launcher([service("sim", SILENT)], nothing) as launcher:
         os.kill(os.getpid(), signal.SIGTERM)

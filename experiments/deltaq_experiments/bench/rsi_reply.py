@@ -70,7 +70,7 @@ def rsi_reply(cycles: int = CYCLES, compiler: str | None = None, prepared: bool 
         arguments = (f"{round(cycle_s * 1e9)}", driver.address, f"{driver.port}", f"{telegrams}", f"{file}")
         with ExitStack() as stack:
             with _on_one_core():
-                launcher = stack.enter_context(Launcher([service], lambda *_: None))
+                launcher = stack.enter_context(Launcher([service], lambda *_: None, signals_raise=True))
                 launcher.start()
             stack.enter_context(_gate(cell))
             with _on_one_core():

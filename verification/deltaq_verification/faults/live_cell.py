@@ -110,7 +110,7 @@ def moving_cell(loaded: LoadedCell, robot: str, needs: Needs, seed: int = 0) -> 
             services.append(recorder(str(loaded.file), str(folder / "run.mcap")))
         clocks = SettableClocks(folder) if needs.clocks else None
         python = (sys.executable,) if clocks is None else clocks.python
-        launcher = stack.enter_context(Launcher(services, lambda *_: None, python=python))
+        launcher = stack.enter_context(Launcher(services, lambda *_: None, python=python, signals_raise=True))
         panel = stack.enter_context(PanelClient(description, robot))
         launcher.start()
         yield MovingCell(launcher, panel, records, relay, clocks)

@@ -56,6 +56,8 @@ def main(arguments: list[str] | None = None) -> int:
     except DeltaqError as error:
         print(f"deltaq_verification.floods: {error}", file=sys.stderr)
         return 3
+    except KeyboardInterrupt:
+        return 130
     return 0
 
 

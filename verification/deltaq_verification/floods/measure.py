@@ -107,7 +107,7 @@ class _Bench:
             *cell_services(self._cell, cell_name),
             Service("holder", Role.LEADER, holder, needs=("hli",)),
         )
-        self._launcher = Launcher(services, lambda *_: None)
+        self._launcher = Launcher(services, lambda *_: None, signals_raise=True)
         self._states: Counter[str] = Counter()
 
     def __enter__(self) -> _Bench:

@@ -31,7 +31,10 @@ def main(arguments: list[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     loaded = load_rsi_cell(given.cell, given.robot)
     progress = None if given.json else _tell
-    report = run_storm(loaded, given.robot, given.telegrams, given.rate_hz, given.seed, progress)
+    try:
+        report = run_storm(loaded, given.robot, given.telegrams, given.rate_hz, given.seed, progress)
+    except KeyboardInterrupt:
+        return 130
     print(json.dumps(asdict(report)) if given.json else _text(report))
     return 0 if report.unexplained is None else 1
 

@@ -93,11 +93,12 @@ def run_storm(
     with AttackedLine(server, forger, rate_hz, passed.append) as line, ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         services = _services(loaded, robot, line.address, folder)
-        launcher = stack.enter_context(Launcher(services, lambda *_: None))
+        launcher = stack.enter_context(Launcher(services, lambda *_: None, signals_raise=True))
         launcher.start()
         overheard = stack.enter_context(Overheard(description, robot))
         # only now: no admission may come before somebody listens
-        stack.enter_context(Launcher([_mover(loaded, robot)], lambda *_: None)).start()
+        mover = Launcher([_mover(loaded, robot)], lambda *_: None, signals_raise=True)
+        stack.enter_context(mover).start()
         operator = stack.enter_context(StormOperator(description, robot))
 
         def look_until(enough: Callable[[], bool]) -> None:
