@@ -400,7 +400,7 @@ test("a saved event cannot become a formula of a spreadsheet", () => {
 
 const RECORDED = {
   name: "run.mcap", begin_s: null, period_s: 0.04, notices: [],
-  robots: { fr: { q: [[0], [1], [1], null], phase: [2, 2, 4, -1], outcome: [0, 2, null, null], clearance_m: [0.1, null, null, null] } },
+  robots: { fr: { q: [[0], [1], [1], null], phase: [2, 2, 4, -1], outcome: [0, 2, null, null], clearance_m: [0.1, null, null, null], focus: [[1, 2, 3], [1, 3, 3], null, null] } },
   nearest: [[0, "fr/link_1", "tank", 0.2, [0, 0, 0], [0, 0, 1]]],
   verdicts: [
     { time_s: 0.03, until_s: 0.05, count: 2, robot: "fr", outcome: "scaled", code: "velocity_limit", what: "a1", text: "too fast (a1)" },
@@ -417,6 +417,13 @@ test("a recording is played between its steps, and silence in it is shown", () =
   assert.equal(shown.frame(99).robots[0].isStale, true);
   assert.equal(shown.frame(99).server_s, shown.length_s);
   assert.equal(shown.frame(-1).server_s, 0);
+});
+
+test("what a camera looked at is marked as it was recorded, and not where that is unknown", () => {
+  const shown = replay();
+  assert.deepEqual(shown.frame(0.01).robots[0].focus, [1, 2.25, 3]);
+  assert.deepEqual(shown.frame(0.06).robots[0].focus, [1, 3, 3]);
+  assert.equal(shown.frame(0.09).robots[0].focus, null);
 });
 
 test("the next refusal is found from wherever one is, and what binds is told then only", () => {

@@ -11,7 +11,17 @@ import pytest
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_protocol import topics
-from deltaq_protocol.messages import NearestPair, Outcome, Phase, Proximity, Reason, RobotState, Verdict
+from deltaq_protocol.messages import (
+    NearestPair,
+    Outcome,
+    Phase,
+    Proximity,
+    Reason,
+    RobotState,
+    ToolPose,
+    Verdict,
+    ViewTarget,
+)
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.recorder.reader import UnreadableRecordingError
 from deltaq_services.recorder.replayed import (
@@ -127,3 +137,27 @@ def test_the_process_prints_it_and_errors_are_one_line(recorded: Path, cell: Cel
     missing = run(recorded.with_name("missing.mcap"))
     assert (missing.returncode, missing.stdout) == (2, "")
     assert missing.stderr.count("\n") == 1
+
+
+def test_what_a_camera_looked_at_is_told_where_it_was(cell: CellModel, tmp_path: Path) -> None:
+    half_turn = ToolPose(position=(1.0, 2.0, 3.0), quaternion_wxyz=(0.0, 0.0, 0.0, 1.0))
+    looked = [
+        ViewTarget(leader="gr"),
+        ViewTarget(leader="gr", aim_offset_m=(0.1, 0.0, 0.04)),
+        None,
+        ViewTarget(leader="nobody"),
+        ViewTarget(focus_m=(-0.4, 0.7, 1.3)),
+    ]
+    with RecordingWriter(tmp_path / "run.mcap", cell.description_message(), "live") as writer:
+        for cycle, target in enumerate(looked):
+            for name, at in (("gr", None), ("fr", target)):
+                q = tuple(cell.robots[name].home.tolist())
+                state = RobotState(
+                    robot=name, cycle=cycle, ipoc=cycle, time_s=0.0, q=q, q_cmd=q,
+                    tool=half_turn, phase=Phase.ENGAGED, target=at,
+                )  # fmt: skip
+                writer.publish(topics.STATE, state, round(1e9 * PERIOD_S * cycle))
+    robots = replayed(tmp_path / "run.mcap", str(cell.identity))["robots"]
+    told = robots["fr"]["focus"]
+    assert told[-5:] == [[1.0, 2.0, 3.0], [0.9, 2.0, 3.04], None, None, [-0.4, 0.7, 1.3]]
+    assert set(robots["gr"]["focus"]) == {None}

@@ -8,10 +8,10 @@ from deltaq_cell.description import CellDescription
 from deltaq_cell.roles import camera_roles
 from deltaq_protocol.messages import Phase, Proximity, RobotState, Sight, Verdict, ViewTarget
 from deltaq_services.console.event_log import EventLog
-from deltaq_services.console.focus import focus_of
 from deltaq_services.console.frame import NO_BODY, Vector, WitnessedPair, pack_frame
 from deltaq_services.console.robot_side import RobotSide
 from deltaq_services.console.words import bound_of, phase_words, sight_words
+from deltaq_services.focus import focus_of
 
 
 class Picture:

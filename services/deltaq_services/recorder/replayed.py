@@ -18,6 +18,7 @@ from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.identity import CellIdentity, mismatch
 from deltaq_protocol.messages import Outcome, Phase, Proximity, RobotState, Verdict
 from deltaq_protocol.reasons import EXPLANATIONS
+from deltaq_services.focus import Vector, focus_of
 from deltaq_services.process import run
 from deltaq_services.recorder.reader import Recording
 
@@ -95,7 +96,7 @@ class _Track:
         self.period_s = PERIOD_S
         self.states: dict[str, tuple[float, RobotState]] = {}
         self.ticks: dict[str, dict[str, list[Any]]] = {
-            name: {"q": [], "phase": [], "outcome": [], "clearance_m": []} for name in robots
+            name: {"q": [], "phase": [], "outcome": [], "clearance_m": [], "focus": []} for name in robots
         }
         self.nearest: list[list[Any]] = []
         self.verdicts: list[dict[str, Any]] = []
@@ -124,7 +125,16 @@ class _Track:
                 verdict = None
             columns["outcome"].append(None if verdict is None else _OUTCOMES.index(verdict.outcome))
             columns["clearance_m"].append(None if verdict is None else verdict.clearance_m)
+            columns["focus"].append(None if is_old or state is None else self._focus(state))
         self._count += 1
+
+    def _focus(self, state: RobotState) -> list[float] | None:
+        """What the robot's camera looks at, in the world [m]; None if it did not say."""
+        if state.target is None:
+            return None
+        _, leader = self.states.get(state.target.leader or "", (0.0, None))
+        focus: Vector | None = focus_of(state.target, None if leader is None else leader.tool)
+        return None if focus is None else [round(x, 5) for x in focus]
 
     def take_verdict(self, verdict: Verdict, time_s: float) -> None:
         self._newest[verdict.robot] = (time_s, verdict)

@@ -18,6 +18,8 @@ function countUntil(times, time) {
   return low;
 }
 
+const between = (from, to, share) => from.map((value, k) => value + share * (to[k] - value));
+
 export class Replay {
   /** @param document as /recordings/NAME has it; scene of the cell. */
   constructor(document, scene) {
@@ -39,11 +41,12 @@ export class Replay {
     return { server_s: this.time_s, nearest: this._nearest(), robots };
   }
 
-  _robot({ q, phase, outcome, clearance_m }, index, k, share) {
+  _robot({ q, phase, outcome, clearance_m, focus }, index, k, share) {
     const home = this.scene.robots[index].home ?? this.scene.robots[index].joints.map(() => 0);
     const from = q[k] ?? home;
     const to = q[k + 1] ?? from;
-    const at = from.map((value, joint) => value + share * (to[joint] - value));
+    const at = between(from, to, share);
+    const looked = focus[k];
     return {
       phase: PHASES[phase[k]] ?? "offline",
       outcome: OUTCOMES[outcome[k]] ?? null,
@@ -54,7 +57,7 @@ export class Replay {
       pair: [null, null],
       admission: NaN,
       longest_s: NaN,
-      focus: null,
+      focus: looked && between(looked, focus[k + 1] ?? looked, share),
       q: at,
       rest: at, // what braking would have done was not recorded
     };

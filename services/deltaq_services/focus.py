@@ -1,4 +1,4 @@
-"""Where in the world a camera's target is, for the page to mark it."""
+"""Where in the world a camera's target is, for people to see it marked."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import numpy as np
 import pinocchio as pin
 
 from deltaq_protocol.messages import ToolPose, ViewTarget
-from deltaq_services.console.frame import Vector
+
+Vector = tuple[float, float, float]
 
 
 def focus_of(target: ViewTarget, T_world_tool: ToolPose | None) -> Vector | None:
