@@ -15,9 +15,10 @@ from deltaq_controllers.limits import IncrementLimits
 ROBOT, Q_LEADER = lab().robots["fr"], lab().robots["gr"].home
 
 
-def seen(cycle: int, q: np.ndarray) -> View:
+def seen(cycle: int, q_cmd: np.ndarray, q: np.ndarray | None = None) -> View:
     time_s = 100.0 + cycle * CYCLE_S
-    return View(RobotView(cycle, time_s, q, q), {"gr": RobotView(cycle, time_s, Q_LEADER, Q_LEADER)})
+    own = RobotView(cycle, time_s, q_cmd if q is None else q, q_cmd)
+    return View(own, {"gr": RobotView(cycle, time_s, Q_LEADER, Q_LEADER)})
 
 
 def test_the_robot_goes_to_its_start_comes_to_rest_there_and_then_follows() -> None:
@@ -36,6 +37,22 @@ def test_the_robot_goes_to_its_start_comes_to_rest_there_and_then_follows() -> N
     assert q_began is not None
     np.testing.assert_allclose(q_began, start, atol=1e-4)
     assert np.rad2deg(camera.errors(q, Q_LEADER)[0]) < 0.1
+
+
+@pytest.mark.parametrize("behind", [1, 5, 12])
+def test_a_robot_behind_its_setpoint_has_arrived_when_it_rests_there_itself(behind: int) -> None:
+    camera = camera_controller_named("qp", Scene(lab(), "fr", "gr"), 1.25)
+    start = ROBOT.home + np.array([0.3, -0.2, 0.1, 1.0, -0.4, 0.2])
+    move_to_start = MoveToStart(camera, IncrementLimits.of(ROBOT, CYCLE_S), start)
+    setpoints = [np.array(ROBOT.home)]
+    for cycle in range(round(6.0 / CYCLE_S)):
+        q = setpoints[max(0, len(setpoints) - 1 - behind)]
+        dq = move_to_start.increment(seen(cycle, setpoints[-1], q))
+        if move_to_start.began_s is not None:
+            break
+        setpoints.append(setpoints[-1] + dq)
+    assert move_to_start.began_s is not None
+    np.testing.assert_allclose(q, start, atol=2e-4)
 
 
 def test_the_distance_is_turned_by_the_stamps_and_the_last_one_stays() -> None:

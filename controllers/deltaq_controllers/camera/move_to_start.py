@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from deltaq_controllers.camera.controllers import FocusController
-from deltaq_controllers.interface import ControllerError, LastIncrement, View
+from deltaq_controllers.interface import ControllerError, LastIncrement, RobotView, View
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_protocol.arrays import Array
 
@@ -18,7 +18,8 @@ SPEED_SHARE, BRAKE_SHARE = 0.2, 0.3
 """Fractions of the joints' speeds and accelerations that the motion to the start uses."""
 
 ARRIVED = 1e-4
-"""Largest distance of a joint from the start at which the start counts as reached [rad or m]."""
+"""Largest distance of a joint's setpoint from the start, and largest motion of setpoint and joint in a cycle, at which
+the start counts as reached [rad or m]."""
 
 
 class MoveToStart:
@@ -51,12 +52,13 @@ class MoveToStart:
         self._camera, self._limits = camera, limits
         self._start, self._distances_m, self._hold_s = start, tuple(distances_m), hold_s
         self._last = LastIncrement(limits.max_ddq)
+        self._last_q: Array | None = None
 
     def increment(self, view: View) -> Array:
         """The increment for this cycle, (n,) [rad or m]."""
         dq_last = self._last.update(view.own)
         if self.began_s is None:
-            if not self._arrived(view.own.q_cmd, dq_last):
+            if not self._arrived(view.own, dq_last):
                 return self._limits.admissible(self._onward(view.own.q_cmd), view.own.q_cmd, dq_last)
             self.began_s = view.own.time_s
         if self._distances_m:
@@ -64,10 +66,13 @@ class MoveToStart:
             self._camera.desired_distance_m = self._distances_m[min(turns, len(self._distances_m) - 1)]
         return self._camera.increment(view)
 
-    def _arrived(self, q_cmd: Array, dq_last: Array) -> bool:
+    def _arrived(self, own: RobotView, dq_last: Array) -> bool:
         if self._start is None:
             return True
-        return bool(max(np.abs(self._start - q_cmd).max(), np.abs(dq_last).max()) < ARRIVED)
+        # the robot itself follows its setpoint some cycles behind, and is still under way when the setpoint rests
+        moved = np.inf if self._last_q is None else np.abs(own.q - self._last_q).max()
+        self._last_q = own.q
+        return bool(max(np.abs(self._start - own.q_cmd).max(), np.abs(dq_last).max(), moved) < ARRIVED)
 
     def _onward(self, q_cmd: Array) -> Array:
         """A step along the straight line to the start from which all joints can still stop there."""
