@@ -28,8 +28,8 @@ PROCESSES = {
 }
 
 
-def judge(run: dict[str, Any]) -> None:
-    """Whatever the machine is like, these hold."""
+def judge(run: dict[str, Any], *, slow: bool = True) -> None:
+    """Whatever the machine is like, these hold; only of slow cycles is the longest one of a controller promised."""
     assert run["silent"] == []
     assert run["overwritten"] == 0
     assert set(run["processor_us"]) == PROCESSES
@@ -56,7 +56,8 @@ def judge(run: dict[str, Any]) -> None:
         "processor time of a cycle, all processes",
         "processor time that the host gave to others",
     ]
-    assert [row["kept"] is None for row in run["rows"]] == [False, False, False, False, True, True]
+    promised = [what for what in whats if "admission rate" in what or (slow and "longest cycle" in what)]
+    assert [row["what"] for row in run["rows"] if row["kept"] is not None] == promised
     assert 0.0 <= run["rows"][-1]["value"] <= 100.0
 
 
@@ -85,8 +86,9 @@ def test_the_command_tells_every_run(tmp_path: Path, base: str) -> None:
     ]
     done = subprocess.run([*command, "--json"], capture_output=True, text=True, check=False, timeout=170)
     assert done.returncode in (0, 1), done.stderr  # 1: a bound is missed, on a machine with other work
+    assert done.stdout, done.stderr
     table = json.loads(done.stdout)
     assert [len(table["runs"]), table["follower"]] == [2, "qp"]
     for run in table["runs"]:
-        judge(run)
+        judge(run, slow=base == "lab")
     assert table["good"] == all(run["good"] for run in table["runs"]) == (done.returncode == 0)

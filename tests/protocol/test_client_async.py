@@ -452,3 +452,33 @@ async def test_the_description_brings_everything_needed_to_model_the_cell(runnin
     assert running.cell.description.urdf == {"fr": "<robot/>", "gr": "<robot/>"}
     assert running.cell.robots["gr"].units == ("m",) * 3 + ("rad",) * 6
     assert running.cell.robots["fr"].max_increment[0] == pytest.approx(math.radians(90) * 0.012)
+
+
+@pytest.mark.parametrize("lost", [{0}, {4}, {0, 1, 2, 3}, {1, 2, 3, 4}])
+async def test_a_round_trip_is_told_though_a_busy_machine_loses_some(
+    running: Running, monkeypatch: pytest.MonkeyPatch, lost: set[int]
+) -> None:
+    asked, status = iter(range(5)), running.cell.status
+
+    async def losing() -> Any:
+        if next(asked) in lost:
+            raise ServiceUnreachableError("no answer within 1 s")
+        return await status()
+
+    monkeypatch.setattr(running.cell, "status", losing)
+    assert 0.0 < await running.cell.round_trip_s() < 1.0
+
+
+async def test_a_round_trip_of_which_all_are_lost_has_no_length(
+    running: Running, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    async def losing() -> Any:
+        asked.append(1)
+        raise ServiceUnreachableError("no answer within 1 s")
+
+    monkeypatch.setattr(running.cell, "status", losing)
+    with pytest.raises(ServiceUnreachableError):
+        await running.cell.round_trip_s()
+    assert len(asked) == 5

@@ -29,6 +29,8 @@ from deltaq_protocol.stamps import FOLDER, WrittenStamps, read_stamps
 STAMPING = (Role.ROBOT_SERVER, Role.SIM, Role.HLI, Role.LEADER, Role.FOLLOWER)
 """Services that write stamps when they end."""
 _TICK_S = 0.25
+_END_TOLD_S = 5.0
+"""Longest time until the launcher tells that a process has ended [s]."""
 
 
 @dataclass(frozen=True)
@@ -127,9 +129,9 @@ def _run(
         with hop_reference(cell.cycle_s, options.duration_s, folder, options.compiler) as reference:
             begin_ns = time.monotonic_ns()
             machine_before = machine_time()
-            before, reference_before = _processor(launcher), reference.processor_s()
+            before, reference_before = _processor(launcher, wait), reference.processor_s()
             wait(options.duration_s)
-            after, reference_after = _processor(launcher), reference.processor_s()
+            after, reference_after = _processor(launcher, wait), reference.processor_s()
             stolen_share = machine_time().stolen_share_since(machine_before)
             end_ns = time.monotonic_ns()
             times = reference.times(begin_ns, end_ns)
@@ -140,8 +142,12 @@ def _run(
     return _Window(begin_ns, end_ns, spent, times, reference_after - reference_before, stolen_share)
 
 
-def _processor(launcher: Launcher) -> dict[str, float]:
-    return {name: processor_seconds(child.pid) for name, child in launcher.children.items()}
+def _processor(launcher: Launcher, wait: Callable[[float], None]) -> dict[str, float]:
+    try:
+        return {name: processor_seconds(child.pid) for name, child in launcher.children.items()}
+    except ProcessLookupError:
+        wait(_END_TOLD_S)  # raises what ended, and how
+        raise
 
 
 def _wait(
