@@ -221,7 +221,7 @@ class Cell:
         Raises:
             ServiceUnreachableError: no answer in time to any of them.
         """
-        took_s = []
+        took_s: list[float] = []
         for attempts_left in reversed(range(_ROUND_TRIPS)):
             began_s = time.perf_counter()
             try:
