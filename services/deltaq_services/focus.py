@@ -7,10 +7,10 @@ import pinocchio as pin
 
 from deltaq_protocol.messages import ToolPose, ViewTarget
 
-Vector = tuple[float, float, float]
+FocusPosition = tuple[float, float, float]
 
 
-def focus_of(target: ViewTarget, T_world_tool: ToolPose | None) -> Vector | None:
+def focus_of(target: ViewTarget, T_world_tool: ToolPose | None) -> FocusPosition | None:
     """A target in the world [m]; None if it is on a tool that was not heard.
 
     Args:
