@@ -222,15 +222,17 @@ class Cell:
             ServiceUnreachableError: no answer in time to any of them.
         """
         took_s: list[float] = []
-        for attempts_left in reversed(range(_ROUND_TRIPS)):
+        unanswered: ServiceUnreachableError | None = None
+        for _ in range(_ROUND_TRIPS):
             began_s = time.perf_counter()
             try:
                 await self.status()
-            except ServiceUnreachableError:
-                if not took_s and not attempts_left:
-                    raise
+            except ServiceUnreachableError as error:
+                unanswered = error
             else:
                 took_s.append(time.perf_counter() - began_s)
+        if unanswered is not None and not took_s:
+            raise unanswered
         return min(took_s)
 
     def lease(

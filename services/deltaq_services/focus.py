@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from deltaq_protocol.messages import ToolPose, ViewTarget
-
-FocusPosition = tuple[float, float, float]
+from deltaq_protocol.messages import ToolPose, Vector3, ViewTarget
 
 
-def focus_of(target: ViewTarget, T_world_tool: ToolPose | None) -> FocusPosition | None:
+def focus_of(target: ViewTarget, T_world_tool: ToolPose | None) -> Vector3 | None:
     """A target in the world [m]; None if it is on a tool that was not heard.
 
     Args:

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,13 @@ import pytest
 
 from deltaq_experiments.bench.asker import frame, framed
 from deltaq_experiments.bench.hop_reference import HopReferenceError, hop_reference
+from deltaq_experiments.bench.live import _processor, _wait
 from deltaq_experiments.bench.native import CompilerError, program
 from deltaq_experiments.bench.processor_time import processor_seconds
+from deltaq_experiments.last_lines import LastLines
+from deltaq_launch.errors import LaunchError
+from deltaq_launch.launcher import Launcher
+from deltaq_launch.services import Role, Service
 
 COMPILERS = pytest.mark.parametrize("compiler", [None, "no-such-compiler"])
 
@@ -132,3 +138,15 @@ def test_processor_time_of_a_process_that_has_ended_is_an_error() -> None:
         child.wait()
     with pytest.raises(ProcessLookupError, match=f"process {child.pid} has ended"):
         processor_seconds(child.pid)
+
+
+def test_a_process_that_ended_before_it_was_measured_is_named_with_what_it_said() -> None:
+    ends = "print('ready: here', flush=True); print('no such cell'); raise SystemExit(3)"
+    lines = LastLines()
+    launcher = Launcher([Service(name="follower", role=Role.FOLLOWER, arguments=("-c", ends))], lines)
+    with launcher:
+        launcher.start()
+        assert launcher.children["follower"].exited.wait(60)
+        wait = partial(_wait, launcher, lines, time.monotonic(), lambda _: None)
+        with pytest.raises(LaunchError, match=r"follower ended with exit status 3(.|\n)*no such cell"):
+            _processor(launcher, wait)

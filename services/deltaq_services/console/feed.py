@@ -11,8 +11,8 @@ import numpy as np
 from deltaq_cell.description import RobotDescription
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles, brake_travel
-from deltaq_protocol.messages import Outcome, Phase, RobotState, Verdict
-from deltaq_services.console.frame import NO_BODY, RobotFrame, Vector
+from deltaq_protocol.messages import Outcome, Phase, RobotState, Vector3, Verdict
+from deltaq_services.console.frame import NO_BODY, RobotFrame
 
 WINDOW_S = 1.0
 """Time over which rates are taken."""
@@ -76,7 +76,7 @@ class RobotFeed:
         """Whether the newest state is too old to be acted upon."""
         return now_s - self._state_s > STALE_S
 
-    def frame(self, now_s: float, focus: Vector | None) -> RobotFrame:
+    def frame(self, now_s: float, focus: Vector3 | None) -> RobotFrame:
         """What a frame shows at `now_s`.
 
         Args:

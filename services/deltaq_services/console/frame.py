@@ -29,7 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.messages import Outcome, Phase
+from deltaq_protocol.messages import Outcome, Phase, Vector3
 
 VERSION = 2
 PHASES = tuple(Phase)
@@ -41,7 +41,6 @@ STALE, BRAKING = 1, 2
 _HEAD = struct.Struct("<BBHdHHf6f")
 _ROBOT = struct.Struct("<BBBBffHHff3f")
 _NAN3 = (math.nan, math.nan, math.nan)
-Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,7 @@ class WitnessedPair:
     a: int = NO_BODY
     b: int = NO_BODY
     distance_m: float = math.nan
-    points_m: tuple[Vector, Vector] = (_NAN3, _NAN3)
+    points_m: tuple[Vector3, Vector3] = (_NAN3, _NAN3)
 
 
 @dataclass(frozen=True)
@@ -82,7 +81,7 @@ class RobotFrame:
     pair: tuple[int, int]
     admission: float
     longest_cycle_s: float
-    focus: Vector | None
+    focus: Vector3 | None
     q: Array
     q_rest: Array
 

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 from deltaq_cell.description import CellDescription
 from deltaq_cell.roles import camera_roles
-from deltaq_protocol.messages import Phase, Proximity, RobotState, Sight, Verdict, ViewTarget
+from deltaq_protocol.messages import Phase, Proximity, RobotState, Sight, Vector3, Verdict, ViewTarget
 from deltaq_services.console.event_log import EventLog
-from deltaq_services.console.frame import NO_BODY, Vector, WitnessedPair, pack_frame
+from deltaq_services.console.frame import NO_BODY, WitnessedPair, pack_frame
 from deltaq_services.console.robot_side import RobotSide
 from deltaq_services.console.words import bound_of, phase_words, sight_words
 from deltaq_services.focus import focus_of
@@ -90,7 +90,7 @@ class Picture:
         if state.sight is not None and state.sight is not sight:
             self._log.add(arrived_s, "view", sight_words(state.sight), state.robot)
 
-    def _focus(self, name: str) -> Vector | None:
+    def _focus(self, name: str) -> Vector3 | None:
         """What a robot's camera looks at, or would look at if nobody says: the tool that it is there to watch."""
         state = self._robots[name].feed.state
         watched = self._watched.get(name)

@@ -18,7 +18,7 @@ from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.identity import CellIdentity, mismatch
 from deltaq_protocol.messages import Outcome, Phase, Proximity, RobotState, Verdict
 from deltaq_protocol.reasons import EXPLANATIONS
-from deltaq_services.focus import FocusPosition, focus_of
+from deltaq_services.focus import focus_of
 from deltaq_services.process import run
 from deltaq_services.recorder.reader import Recording
 
@@ -133,7 +133,7 @@ class _Track:
         if state.target is None:
             return None
         _, leader = self.states.get(state.target.leader or "", (0.0, None))
-        focus: FocusPosition | None = focus_of(state.target, None if leader is None else leader.tool)
+        focus = focus_of(state.target, None if leader is None else leader.tool)
         return None if focus is None else [round(x, 5) for x in focus]
 
     def take_verdict(self, verdict: Verdict, time_s: float) -> None:
