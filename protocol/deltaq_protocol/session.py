@@ -25,6 +25,8 @@ MAX_SESSIONS = 64
 _WAITING_TO_BE_SENT = 16
 """Urgent messages that may wait for a link to be served, the most that zenoh allows. With its own two, every
 millisecond in which a busy machine kept the link's thread waiting cost verdicts and states."""
+LINK_LEASE_MS = 1000
+"""A peer that was not heard for so long is lost; what is published until it is found again never reaches it."""
 _ACCEPT_MS = 1000
 """Silent connections are closed after this: until then they keep others waiting."""
 _OPEN_MS = 3000
@@ -60,7 +62,7 @@ def open_session(
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "scouting/delay": 0,  # no scouting, so no peer to wait for
-        "transport/link/tx/lease": 1000,
+        "transport/link/tx/lease": LINK_LEASE_MS,
         "transport/link/tx/queue/size/real_time": _WAITING_TO_BE_SENT,
         "transport/link/rx/max_message_size": MAX_ZENOH_MESSAGE_BYTES,
         "transport/unicast/max_sessions": MAX_SESSIONS,

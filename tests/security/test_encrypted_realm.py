@@ -28,7 +28,7 @@ def folder(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def realm(tmp_path, folder):
+def realm(tmp_path, folder, lasting_links):
     realm = SealedRealm(tmp_path, transport="tls")
     yield realm
     realm.close()

@@ -21,7 +21,7 @@ CONTACT = "gripper_on_valves"
 
 
 @pytest.fixture
-def realm(tmp_path):
+def realm(tmp_path, lasting_links):
     realm = SealedRealm(tmp_path)
     yield realm
     realm.close()

@@ -1,6 +1,7 @@
 """The guarded realm over real sockets, in lockstep: Robot Servers, the SIM's shell, and an HLI that asks.
 
-Nothing here waits for a clock, so that a braked cycle has a cause other than a busy machine.
+Nothing here waits for a clock, so that a braked cycle has a cause other than a busy machine. Open it with the fixture
+`lasting_links`: zenoh's links have a clock of their own, which closes them when the machine pauses.
 """
 
 from __future__ import annotations
