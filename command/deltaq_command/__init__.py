@@ -9,15 +9,13 @@ from __future__ import annotations
 import sys
 from typing import NoReturn
 
-USAGE = 2
-INTERRUPTED = 130
-"""Exit status that a shell gives to a program that Ctrl-C ended."""
+from deltaq_launch.exit_status import INTERRUPTED, USAGE
 
 
 def main() -> None:
     """Run the command; neither a user's mistake nor Ctrl-C ends in a traceback.
 
-    All imports happen in here, since a missing module and an interrupt are reported here.
+    All imports that can fail happen in here, since a missing module and an interrupt are reported here.
     """
     try:
         _run()
@@ -33,18 +31,9 @@ def main() -> None:
 
 def _run() -> None:
     from deltaq_command.app import app
-    from deltaq_command.errors import exit_status, report
-    from deltaq_protocol.errors import DeltaqError
+    from deltaq_launch.program import run_program
 
-    try:
-        app(prog_name="deltaq")
-    except DeltaqError as error:
-        report(error)
-        sys.exit(exit_status(error))
-    except BrokenPipeError:
-        # the reader of the output (`| head`) has gone; nothing more can be printed
-        sys.stderr.close()
-        sys.exit(0)
+    run_program(lambda: app(prog_name="deltaq"), "deltaq")
 
 
 def _tell_what_is_missing(error: ModuleNotFoundError) -> NoReturn:

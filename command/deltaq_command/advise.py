@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deltaq_command.errors import BAD
 from deltaq_command.options import (
     CellOption,
     CriterionOption,
@@ -15,6 +14,7 @@ from deltaq_command.options import (
     TradeOffOption,
 )
 from deltaq_command.weights import two_criteria, weights_of
+from deltaq_launch.exit_status import BAD
 
 if TYPE_CHECKING:
     from deltaq_command.advice import Advice

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deltaq_command.errors import BAD
 from deltaq_command.options import CellOption, ConsoleOption, JsonOption
+from deltaq_launch.exit_status import BAD
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deltaq_command.errors import BAD
 from deltaq_command.fault_scenarios import run, search
 from deltaq_command.impair import impair
 from deltaq_command.options import CellOption, JsonOption, RobotOption
+from deltaq_launch.exit_status import BAD
 
 if TYPE_CHECKING:
     from deltaq_verification.faults.catalogue import Fault

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deltaq_command.errors import BAD
 from deltaq_command.options import JsonOption
+from deltaq_launch.exit_status import BAD
 
 if TYPE_CHECKING:
     from deltaq_testing.scenario.run import ScenarioOutcome

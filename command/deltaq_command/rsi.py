@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deltaq_command.errors import BAD, UNREACHABLE
 from deltaq_command.options import JsonOption, RobotOption
+from deltaq_launch.exit_status import BAD, UNREACHABLE
 
 if TYPE_CHECKING:
     from deltaq_cell.description import CellDescription, RsiDescription

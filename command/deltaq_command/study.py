@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
-from deltaq_command.errors import BAD
 from deltaq_command.options import CellOption, JsonOption
+from deltaq_launch.exit_status import BAD
 
 
 class Experiment(StrEnum):

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deltaq_command.errors import BAD
 from deltaq_command.options import CellOption, JsonOption, UrlOption
+from deltaq_launch.exit_status import BAD
 
 if TYPE_CHECKING:
     from rich.console import Group

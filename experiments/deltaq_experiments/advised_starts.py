@@ -11,7 +11,6 @@ virtual time and through the gate.
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Sequence
 
@@ -25,6 +24,7 @@ from deltaq_controllers.advisor.problem import AdvisorProblem
 from deltaq_controllers.inverse.tracking import ConstraintTracker
 from deltaq_controllers.live import model_of
 from deltaq_experiments.advised_drive import driven_to
+from deltaq_launch.program import run_program
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
 
@@ -186,7 +186,7 @@ def _counts(names: object) -> dict[str, int]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print one table, or one JSON object."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m deltaq_experiments.advised_starts", description=__doc__)
     parser.add_argument("--cell", help=f"name or file; not needed for {', '.join(CELLS)}")
     parser.add_argument("--robot", default="dawm")
     parser.add_argument("--starts", type=int, default=100)
@@ -209,4 +209,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    run_program(main, "deltaq_experiments.advised_starts")

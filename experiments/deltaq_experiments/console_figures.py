@@ -38,6 +38,7 @@ from deltaq_experiments.console_picture import FLAGS
 from deltaq_experiments.last_lines import LastLines
 from deltaq_launch.cell_connection import connect
 from deltaq_launch.launcher import Launcher
+from deltaq_launch.program import run_program
 from deltaq_launch.services import cell_services, console_service, demo_controllers
 from deltaq_protocol.blocking import BlockingCell
 from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
@@ -268,7 +269,10 @@ def _onlookers(url: str, count: int) -> Iterator[None]:
 
 def main() -> None:
     """Measure, and print the figures as JSON."""
-    parser = argparse.ArgumentParser(description="Figures of the console before a running cell, as JSON.")
+    parser = argparse.ArgumentParser(
+        prog="python -m deltaq_experiments.console_figures",
+        description="Figures of the console before a running cell, as JSON.",
+    )
     parser.add_argument("--cell", default="lab", help="name or file of the cell (default: %(default)s)")
     parser.add_argument("--presses", type=int, default=PRESSES, help="of STOP (default: %(default)s)")
     parser.add_argument("--admission", action="store_true", help="the admission rate only")
@@ -278,6 +282,8 @@ def main() -> None:
     options = parser.parse_args()
     if options.chromium is None:
         parser.error("Chromium is not installed; name it with --chromium")
+    if shutil.which(options.chromium) is None:
+        parser.error(f"--chromium {options.chromium}: no program there")
     try:
         if options.admission:
             found: dict[str, object] = {"admitted": admission(options.cell, options.chromium)}
@@ -291,4 +297,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main, "deltaq_experiments.console_figures")

@@ -18,6 +18,8 @@ from pathlib import Path
 from PIL import Image
 from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
 
+from deltaq_launch.program import run_program
+
 # the page itself is put together without SwiftShader, which draws only the 3D view
 FLAGS = (
     "--no-sandbox",
@@ -196,7 +198,10 @@ def _write(page: Page, file: Path) -> None:
 
 def main() -> None:
     """Take the pictures that the command line asks for."""
-    parser = argparse.ArgumentParser(description="Take pictures of the console before a running cell.")
+    parser = argparse.ArgumentParser(
+        prog="python -m deltaq_experiments.console_picture",
+        description="Take pictures of the console before a running cell.",
+    )
     parser.add_argument("folder", type=Path, help="folder to write to")
     parser.add_argument(
         "--url", default="http://127.0.0.1:7480", help="of the console (default: %(default)s)"
@@ -207,6 +212,8 @@ def main() -> None:
     options = parser.parse_args()
     if options.chromium is None:
         parser.error("Chromium is not installed; name it with --chromium")
+    if shutil.which(options.chromium) is None:
+        parser.error(f"--chromium {options.chromium}: no program there")
     try:
         with urllib.request.urlopen(options.url):
             pass
@@ -216,4 +223,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main, "deltaq_experiments.console_picture")

@@ -25,6 +25,7 @@ from deltaq_controllers.modes.motion import HAND_AXES, ModeName, OperatorCommand
 from deltaq_controllers.modes.practice import practise
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.surroundings.surroundings import RobotSurroundings
+from deltaq_launch.program import run_program
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
 
@@ -186,7 +187,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m deltaq_experiments.directions", description=__doc__)
     parser.add_argument("--cell", default="dawm", help="name or file (default: %(default)s)")
     parser.add_argument("--robot", default="dawm", help="robot of it (default: %(default)s)")
-    parser.add_argument("--mode", nargs="+", default=["decoupled", "coupled"], help="default: both of hands")
+    parser.add_argument(
+        "--mode",
+        nargs="+",
+        choices=[mode.value for mode in ModeName],
+        default=["decoupled", "coupled"],
+        help="default: both of hands",
+    )
     parser.add_argument("--duration-s", type=float, default=6.0, help="of each (default: %(default)s)")
     parser.add_argument("--passes", type=int, default=1, help="drives of each axis (default: %(default)s)")
     parser.add_argument(
@@ -231,4 +238,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    run_program(main, "deltaq_experiments.directions")

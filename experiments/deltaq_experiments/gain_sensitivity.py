@@ -26,6 +26,7 @@ from deltaq_experiments.scene import VIEW_DISTANCE_M, load
 from deltaq_experiments.tracking import scripted_leader
 from deltaq_experiments.ungated import record_ungated
 from deltaq_experiments.virtual import RunRecord
+from deltaq_launch.program import run_program
 from deltaq_protocol.arrays import Array
 
 FIRST_SEED = 200
@@ -211,4 +212,4 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    run_program(main, "deltaq_experiments.gain_sensitivity")

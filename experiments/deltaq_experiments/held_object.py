@@ -21,6 +21,7 @@ from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.held_object import HeldObject
 from deltaq_controllers.modes.motion import HAND_AXES, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_launch.program import run_program
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles
 
@@ -129,4 +130,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    run_program(main, "deltaq_experiments.held_object")

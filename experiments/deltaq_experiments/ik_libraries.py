@@ -28,6 +28,7 @@ from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.live import model_of
 from deltaq_controllers.modes.motion import HAND_AXES
 from deltaq_experiments.directions import WHOLE, DirectionGone, commands, judged
+from deltaq_launch.program import run_program
 from deltaq_protocol.arrays import Array
 
 POSITION_COST, ORIENTATION_COST, POSTURE_COST = 1.0, 0.5, 1e-3
@@ -238,4 +239,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main, "deltaq_experiments.ik_libraries")

@@ -21,6 +21,7 @@ from deltaq_controllers.inverse.any_arm import AnyArm
 from deltaq_controllers.inverse.arms import Arm, ArmInverse, inverted
 from deltaq_controllers.inverse.branches import wrapped
 from deltaq_controllers.inverse.tracking import ConstraintTracker
+from deltaq_launch.program import run_program
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
 
@@ -168,4 +169,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_program(main, "deltaq_experiments.inverse_bench")

@@ -19,6 +19,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from deltaq_experiments.figures import save
+from deltaq_launch.program import run_program
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.guarded import Admission
 from deltaq_verification.virtual_cell.cell import VirtualCell
@@ -240,4 +241,4 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main, "deltaq_experiments.lookahead")

@@ -22,6 +22,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from deltaq_cell.load import load_cell
 from deltaq_experiments.bench.live import LiveRun
 from deltaq_launch.private_cell import write_private_cell
+from deltaq_launch.program import run_program
 from deltaq_protocol.errors import DeltaqError
 
 CELLS = (1, 2, 3, 4)
@@ -167,4 +168,4 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main, "deltaq_experiments.many_cells")

@@ -17,6 +17,7 @@ from deltaq_experiments.peg_and_valve import (
 )
 from deltaq_experiments.peg_and_valve_person import ACTION_S, NOISE, NOISE_MEMORY_S, REACTION_S, SLIP
 from deltaq_experiments.peg_and_valve_summary import CONCLUSIONS, FEW, FIGURES, MOST, by_mode
+from deltaq_launch.program import run_program
 
 PAGE = Path("docs/explanation/modes-compared.md")
 SEEDS = 10
@@ -136,4 +137,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    run_program(main, "deltaq_experiments.peg_and_valve_page")

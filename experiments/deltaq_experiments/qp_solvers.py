@@ -23,6 +23,7 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.live import model_of
 from deltaq_controllers.modes.motion import ModeName
 from deltaq_experiments.directions import commands, drive
+from deltaq_launch.program import run_program
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
 
@@ -208,7 +209,9 @@ def _timed(
 
 def main() -> None:
     """Print a line for each solver."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m deltaq_experiments.qp_solvers", description=__doc__.splitlines()[0]
+    )
     parser.add_argument("--cell", default="dawm", help="name or file (default: %(default)s)")
     parser.add_argument("--robot", default="dawm", help="robot of it (default: %(default)s)")
     parser.add_argument(
@@ -244,4 +247,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main, "deltaq_experiments.qp_solvers")

@@ -22,6 +22,7 @@ from pydantic import BaseModel, ConfigDict
 from deltaq_cell.load import load_cell
 from deltaq_experiments.bench.decisions import RawDistances, Stopwatch
 from deltaq_experiments.figures import save
+from deltaq_launch.program import run_program
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import Outcome
@@ -263,4 +264,4 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main, "deltaq_experiments.scale")

@@ -23,6 +23,7 @@ from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_experiments.options import Options
 from deltaq_experiments.scene import camera_controller, load
 from deltaq_experiments.virtual import record
+from deltaq_launch.program import run_program
 from deltaq_protocol.arrays import Array
 
 PERCENTILES = (50.0, 90.0, 99.0, 99.9, 100.0)
@@ -119,4 +120,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    run_program(main, "deltaq_experiments.step_bench")

@@ -22,6 +22,7 @@ from deltaq_experiments.far_virtual import figures_of, follow_in_virtual_time
 from deltaq_experiments.live import trace_of
 from deltaq_experiments.scene import scene_of
 from deltaq_experiments.sites_run import DELTAQ, SiteError, TwoSites, two_sites
+from deltaq_launch.program import run_program
 from deltaq_protocol import topics
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import RobotState
@@ -178,4 +179,4 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main, "deltaq_experiments.two_sites")

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from commands import deltaq
 
-from deltaq_command.errors import exit_status
 from deltaq_launch.errors import LaunchError, LaunchInterruptedError
 from deltaq_launch.private_cell import write_private_cell
+from deltaq_launch.program import exit_status
 from deltaq_protocol.errors import ProtocolError, RefusedError, ServiceUnreachableError
 
 

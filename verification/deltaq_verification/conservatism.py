@@ -19,6 +19,7 @@ from operator import add
 import numpy as np
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_launch.program import run_program
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.core import Decider
@@ -224,4 +225,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main, "deltaq_verification.conservatism")

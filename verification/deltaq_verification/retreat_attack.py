@@ -20,6 +20,7 @@ from rich.progress import track
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.compiled_proximity import CompiledProximity
+from deltaq_launch.program import run_program
 from deltaq_protocol.arrays import Array
 from deltaq_verification.oracle import ClearanceOracle
 from deltaq_verification.retreat_situations import Situation, situation
@@ -161,7 +162,10 @@ def _run(seed: int) -> RetreatOutcome:
 
 def main() -> None:
     """Play situations and print the results as one JSON object."""
-    parser = argparse.ArgumentParser(description="Retreat under attack, judged by an independent oracle.")
+    parser = argparse.ArgumentParser(
+        prog="python -m deltaq_verification.retreat_attack",
+        description="Retreat under attack, judged by an independent oracle.",
+    )
     parser.add_argument(
         "--cell", default="lab", help="cell with RSI or kinematic robots (default: %(default)s)"
     )
@@ -205,4 +209,4 @@ def summary(outcomes: list[RetreatOutcome]) -> dict[str, object]:
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main, "deltaq_verification.retreat_attack")

@@ -19,6 +19,7 @@ from pathlib import Path
 import msgpack
 import numpy as np
 
+from deltaq_launch.program import run_program
 from deltaq_protocol.codec import pack, unpack
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.guarded import GateMemory, Request
@@ -140,4 +141,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main, "deltaq_experiments.bench.cornered")

@@ -24,6 +24,7 @@ from zenoh.shm import ShmProvider
 from deltaq_experiments.bench.hop_reference import MESSAGE_BYTES
 from deltaq_experiments.bench.table import BenchRow, BenchTable
 from deltaq_launch.private_cell import free_ports
+from deltaq_launch.program import run_program
 from deltaq_protocol.served_in_loop import ServedInLoop
 from deltaq_protocol.session import declare_publisher, open_session
 
@@ -215,7 +216,9 @@ async def _answer_in_loop(session: Any, publisher: Any) -> None:
 
 def main() -> None:
     """Measure all ways, or answer in one."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m deltaq_experiments.bench.ways", description=__doc__.splitlines()[0]
+    )
     parser.add_argument("--cycles", type=int, default=CYCLES, help="messages of each way")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     parser.add_argument("--answer", nargs=3, metavar=("WAY", "PORT", "PORT"), help=argparse.SUPPRESS)
@@ -239,4 +242,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main, "deltaq_experiments.bench.ways")

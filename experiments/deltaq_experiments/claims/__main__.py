@@ -14,6 +14,7 @@ from deltaq_experiments.claims.page import ENOUGH, page
 from deltaq_experiments.claims.sheets import SHEETS, Sheet
 from deltaq_experiments.figures import draw
 from deltaq_experiments.report import ExperimentOutcome
+from deltaq_launch.program import run_program
 
 PICTURES = Path("docs/explanation/pictures")
 
@@ -54,9 +55,11 @@ def main(arguments: Sequence[str] | None = None, sheets: Sequence[Sheet] = SHEET
     options = parser.parse_args(arguments)
     if options.seeds < 1:
         parser.error(f"--seeds {options.seeds}: at least 1")
+    chosen = [sheet for sheet in sheets if options.page in (None, sheet.name)]
+    if not any(options.only in claim.command for sheet in chosen for claim in sheet.claims):
+        parser.error(f"--only {options.only!r}: no claim has this in its command")
     (options.root / PICTURES).mkdir(parents=True, exist_ok=True)
     kept = KeptReports(options.reports)
-    chosen = [sheet for sheet in sheets if options.page in (None, sheet.name)]
     passed = [_write(sheet, kept, options.root, options.seeds, options.only) for sheet in chosen]
     return int(not all(passed))
 
@@ -83,4 +86,4 @@ def _write(sheet: Sheet, kept: KeptReports, root: Path, seeds: int, only: str) -
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    run_program(main, "deltaq_experiments.claims")

@@ -20,6 +20,7 @@ from gymnasium.vector import AsyncVectorEnv
 from deltaq_experiments.scene import scene_of
 from deltaq_experiments.training import ENVIRONMENT
 from deltaq_experiments.training.environment import CameraEnvironment
+from deltaq_launch.program import run_program
 from deltaq_protocol.arrays import Array
 from deltaq_verification.virtual_cell.cell import VirtualCell
 
@@ -126,4 +127,4 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    run_program(main, "deltaq_experiments.training.speed")

@@ -10,14 +10,15 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import sys
 import tempfile
 from dataclasses import asdict
 from pathlib import Path
 from statistics import median
 
+from deltaq_cell.load import load_cell
 from deltaq_launch.private_cell import write_private_cell
-from deltaq_protocol.errors import DeltaqError
+from deltaq_launch.program import run_program
+from deltaq_verification.faults.rsi_cell import must_have
 from deltaq_verification.floods.attacks import ATTACKS
 from deltaq_verification.floods.measure import FloodRow, measure
 
@@ -27,8 +28,8 @@ _HEADING = (
 )
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Measure; returns the exit status."""
+def main(arguments: list[str] | None = None) -> None:
+    """Measure, a row an attack."""
     parser = argparse.ArgumentParser(
         prog="python -m deltaq_verification.floods",
         description="Figures of others beside each flood of the list.",
@@ -45,20 +46,24 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--stops", type=int, default=10, help="each way, in a flood (default: %(default)s)")
     parser.add_argument("--json", action="store_true", help="one JSON object a line instead of a table")
     given = parser.parse_args(arguments)
-    if not given.json:
-        print(_HEADING)
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            cell = str(write_private_cell(Path(folder), given.cell))
-            names = given.attack or ATTACKS
-            for row in measure(cell, given.robot, names, given.duration_s, given.attackers, given.stops):
-                print(json.dumps(asdict(row)) if given.json else _line(row), flush=True)
-    except DeltaqError as error:
-        print(f"deltaq_verification.floods: {error}", file=sys.stderr)
-        return 3
-    except KeyboardInterrupt:
-        return 130
-    return 0
+    _must_be_positive(parser, given)
+    with tempfile.TemporaryDirectory() as folder:
+        file = write_private_cell(Path(folder), given.cell)
+        must_have(load_cell(file), given.robot)
+        if not given.json:
+            print(_HEADING)
+        names = given.attack or ATTACKS
+        for row in measure(str(file), given.robot, names, given.duration_s, given.attackers, given.stops):
+            print(json.dumps(asdict(row)) if given.json else _line(row), flush=True)
+
+
+def _must_be_positive(parser: argparse.ArgumentParser, given: argparse.Namespace) -> None:
+    if not 0.0 < given.duration_s < math.inf:
+        parser.error(f"--duration-s {given.duration_s:g}: more than 0")
+    if given.attackers < 1:
+        parser.error(f"--attackers {given.attackers}: at least 1")
+    if given.stops < 1:
+        parser.error(f"--stops {given.stops}: at least 1")
 
 
 def _line(row: FloodRow) -> str:
@@ -77,4 +82,4 @@ def _line(row: FloodRow) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_program(main, "deltaq_verification.floods")

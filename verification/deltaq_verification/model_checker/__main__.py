@@ -9,6 +9,7 @@ import argparse
 import json
 import sys
 
+from deltaq_launch.program import run_program
 from deltaq_verification.model_checker.attacked import AttackedSystem
 from deltaq_verification.model_checker.explore import Exploration, explore
 from deltaq_verification.model_checker.safety_monitor import Property
@@ -94,4 +95,4 @@ def _text(found: Exploration, faults: int) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_program(main, "deltaq_verification.model_checker")

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from dataclasses import asdict
 
+from deltaq_launch.program import run_program
 from deltaq_verification.faults.rsi_cell import load_rsi_cell
 from deltaq_verification.storm.run import StormReport, run_storm
 
@@ -29,12 +31,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0, help="of the attacker")
     parser.add_argument("--json", action="store_true", help="one JSON object instead of text")
     given = parser.parse_args(arguments)
+    if given.telegrams < 1:
+        parser.error(f"--telegrams {given.telegrams}: at least 1")
+    if not 0.0 < given.rate_hz < math.inf:
+        parser.error(f"--rate-hz {given.rate_hz:g}: more than 0")
     loaded = load_rsi_cell(given.cell, given.robot)
     progress = None if given.json else _tell
-    try:
-        report = run_storm(loaded, given.robot, given.telegrams, given.rate_hz, given.seed, progress)
-    except KeyboardInterrupt:
-        return 130
+    report = run_storm(loaded, given.robot, given.telegrams, given.rate_hz, given.seed, progress)
     print(json.dumps(asdict(report)) if given.json else _text(report))
     return 0 if report.unexplained is None else 1
 
@@ -63,4 +66,4 @@ def _text(report: StormReport) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_program(main, "deltaq_verification.storm")
