@@ -344,8 +344,14 @@ def test_a_series_that_was_interrupted_goes_on_where_it_was(
     write_page([*arguments, "3"], [sheet_of(claim)])
     assert ran == [0, 1, 2]
     assert "| 3 of 3 |" in (tmp_path / CAMERA.file).read_text(encoding="utf-8")
-    write_page([*arguments, "4", "--only", "zoom"], [sheet_of(claim)])
+    with pytest.raises(SystemExit):
+        write_page([*arguments, "4", "--only", "nosuch"], [sheet_of(claim)])
     assert ran == [0, 1, 2]
+    tracking = (other for other in CLAIMS if other.experiment == "tracking")
+    other = next(other for other in tracking if other.command not in claim.command)
+    both = replace(CAMERA, claims=(claim, other))
+    write_page([*arguments, "4", "--only", other.command], [both])
+    assert ran == [0, 1, 2, 0, 1, 2, 3]  # the other alone
 
 
 def test_a_page_without_runs_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
