@@ -24,7 +24,6 @@ from deltaq_experiments.scene import scene_of
 from deltaq_experiments.sites_run import DELTAQ, SiteError, TwoSites, two_sites
 from deltaq_launch.program import run_program
 from deltaq_protocol import topics
-from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import RobotState
 from deltaq_services.process import end_on_interrupt
 from deltaq_services.recorder.reader import Recording
@@ -169,12 +168,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         "seed",
     )
     signal.signal(signal.SIGTERM, end_on_interrupt)
-    try:
-        figures = follow_in_virtual_time(given) if given.virtual else measure(given)
-    except KeyboardInterrupt:
-        sys.exit("interrupted")
-    except DeltaqError as error:
-        sys.exit(f"two_sites: {error}")
+    figures = follow_in_virtual_time(given) if given.virtual else measure(given)
     print(json.dumps({"virtual": given.virtual} | {name: getattr(given, name) for name in asked} | figures))
 
 

@@ -7,6 +7,8 @@ import json
 import pytest
 
 from deltaq_experiments.inverse_bench import main
+from deltaq_launch.exit_status import USAGE
+from deltaq_launch.program import run_program
 
 
 @pytest.mark.long
@@ -26,8 +28,10 @@ def test_every_arm_is_solved_by_all_roads_that_it_has(capsys: pytest.CaptureFixt
 
 
 def test_a_user_s_mistake_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--cell", "nowhere"]) == 1
-    assert "nowhere" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as ended:
+        run_program(lambda: main(["--cell", "nowhere"]), "inverse_bench")
+    assert ended.value.code == USAGE
+    assert capsys.readouterr().err.startswith("inverse_bench: nowhere: no cell of that name")
     with pytest.raises(SystemExit):
         main(["--poses", "0"])
     assert "--poses 0: at least 1" in capsys.readouterr().err

@@ -22,8 +22,15 @@ PROGRAMS = sorted(
 
 def ended(*command: str, stdout: int = subprocess.PIPE) -> tuple[int, str]:
     """Exit status and standard error of a program of Python's."""
+    # what is printed waits in a buffer, as it does for a user: it is written when the program has already ended
+    buffered = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
     done = subprocess.run(
-        [sys.executable, *command], stdout=stdout, stderr=subprocess.PIPE, text=True, check=False
+        [sys.executable, *command],
+        stdout=stdout,
+        stderr=subprocess.PIPE,
+        text=True,
+        check=False,
+        env=buffered,
     )
     return done.returncode, done.stderr
 
