@@ -20,12 +20,13 @@ BASE ?= python:3.11-slim-bookworm
 # Python compiles a module once and keeps that, also where the environment forbids it: tests start hundreds of processes
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help install compiled-gate compiled-camera demo test test-live test-services test-rest quick lint nightly mutation container-test wheels image docs site site-version figures constraints clean
+.PHONY: help install compiled-gate compiled-camera demo test test-cells test-rest quick lint nightly mutation container-test wheels image docs site site-version figures constraints clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
 
-install: $(INSTALLED) $(COMPILED) ## make .venv, install everything, and compile what the first start would
+install: $(INSTALLED) ## make .venv, install everything, and compile what the first start would
+	@$(MAKE) --no-print-directory --jobs=2 $(COMPILED)
 
 $(INSTALLED): pyproject.toml constraints.txt
 	@python=$$(for name in python3.11 python3.12 python3.13 python3 python; do \
@@ -52,19 +53,17 @@ demo: $(INSTALLED) $(COMPILED) ## start the emulated lab cell and let the camera
 	$(BIN)/deltaq demo --duration-s $(DEMO_S)
 
 test: $(INSTALLED) ## lint, types, rooms, tests
-	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target lint $(COMPILED)
-	@echo "three runs of the tests side by side; each is shown as it ends"
-	@$(MAKE) --no-print-directory --jobs=3 --output-sync=target test-live test-services test-rest
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target compiled-gate lint compiled-camera
+	@echo "two runs of the tests side by side; each is shown as it ends"
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target test-cells test-rest
 
-# one cell at a time; most of its life a test waits for one, so that others can compute meanwhile
-test-live: $(INSTALLED) $(COMPILED)
+# one cell at a time, and nothing beside it but what gives way to it; a test waits for most of its life, so others compute
+test-cells: $(INSTALLED) $(COMPILED)
+	$(BIN)/pytest -m service
 	$(BIN)/pytest -m live
 
-test-services: $(INSTALLED) $(COMPILED)
-	$(BIN)/pytest -m service
-
 test-rest: $(INSTALLED) $(COMPILED)
-	nice -n 10 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not live and not service'
+	nice -n 19 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not live and not service'
 
 # one worker more than two cores have: some of these tests wait
 quick: $(INSTALLED) $(COMPILED) lint ## lint, types, rooms, and the tests that take little time

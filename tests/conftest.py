@@ -64,6 +64,22 @@ def pytest_ignore_collect(collection_path, config):
     return True if f"mark.{kind}" not in collection_path.read_text(encoding="utf-8") else None
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_itemcollected(item):
+    """Leave what is no longer for the day to the night."""
+    if (by_day := item.get_closest_marker("by_day")) is None:
+        return
+    function = item.nodeid.partition("[")[0]
+    collected = item.session.stash.setdefault(_COLLECTED, Counter())
+    collected[function] += 1
+    if collected[function] > by_day.args[0]:
+        item.add_marker("nightly")
+
+
+_COLLECTED = pytest.StashKey()
+"""How many parameters of each function were collected."""
+
+
 def pytest_collection_modifyitems(config, items):
     """Leave out what runs only if asked, and begin with the files that take long."""
     asked = config.option.markexpr

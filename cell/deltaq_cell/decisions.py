@@ -244,6 +244,7 @@ class Decisions:
             trial_budget,
             halvings,
             rounds,
+            False,
             self._suspected,
             arrays.stack,
             arrays.found,

@@ -48,7 +48,7 @@ def shown_compiled_ahead(controllers: Sequence[str]) -> Iterator[None]:
     def show(function: str) -> None:
         if not progress.tasks[task].visible:
             output.print(
-                "compiling the gate and what else is compiled; only the first start does, for up to two minutes"
+                "compiling the gate and what else is compiled; only the first start does, for up to four minutes"
             )
         progress.update(task, description=function, visible=True)
 

@@ -43,6 +43,7 @@ def test_an_error_has_the_exit_status_that_scripts_rely_on(error: ProtocolError,
     assert exit_status(error) == status
 
 
+@pytest.mark.by_day(2)
 @pytest.mark.long
 @pytest.mark.parametrize(
     "arguments",

@@ -20,6 +20,7 @@ def command(*options: str) -> list[str]:
     return [PROGRAM, "fault", "impair", *options]
 
 
+@pytest.mark.by_day(2)
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("options", "status", "told"),

@@ -47,6 +47,7 @@ BY_ONE = [
 ]
 
 
+@pytest.mark.by_day(5)
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("module", "words"), [*((module, "status") for module in BY_EVERY_VERB), *BY_ONE], ids=lambda text: text

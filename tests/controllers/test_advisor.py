@@ -170,8 +170,8 @@ STARTS = {robot: starts(CellModel.load(CELLS[robot]), robot, 3, seed=4711) for r
 """Configurations at random, some of which are near limits, bodies and singularities."""
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("robot", ["dawm", pytest.param("gr", marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("robot", ["dawm", "gr"])
 def test_from_almost_every_start_some_option_is_better_and_can_be_driven_to(robot: str) -> None:
     better = 0
     for found in answers(robot):
@@ -210,6 +210,7 @@ def advised_from(robot: str, q: Array, **asked: Any) -> list[Option]:
     return advise(task, q, generator=np.random.default_rng(17), **asked)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("robot", STARTS)
 def test_an_option_is_no_nearer_to_a_limit_than_a_fiftieth_where_the_start_is_not(robot: str) -> None:
     model = CellModel.load(CELLS[robot]).robots[robot]

@@ -30,7 +30,7 @@ def off_m(run: PlainDrive) -> float:
     return float(np.linalg.norm((robot.forward(run.now) - robot.forward(robot.home))[:3, 3]))
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_from_a_way_on_which_the_hand_left_its_place_another_option_has_it_in_place_again() -> None:
     run = PlainDrive("gr", ModeName.JOINT)
     advisor = SynchronousAdvisor(cell_of("gr"), "gr", options=12, effort=0.3)

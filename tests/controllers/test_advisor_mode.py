@@ -40,6 +40,7 @@ def go_to(run: PlainDrive, rank: int, cycles: int = LONGEST_CYCLES) -> None:
             return
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize("robot", ["gr", "dawm"])
 def test_one_option_after_the_other_is_gone_to_with_the_hands_still(robot: str) -> None:

@@ -240,7 +240,7 @@ def test_the_arms_of_the_shipped_robots_keep_their_own_closed_forms() -> None:
     assert kinds == {"gr": "Kr16Inverse", "fr": "Kr16Inverse", "dawm": "TitanInverse"}
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_without_the_extra_another_arm_is_solved_numerically_and_the_same_poses_are_reached() -> None:
     code = """
 import sys

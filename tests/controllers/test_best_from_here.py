@@ -40,8 +40,9 @@ def asked(robot: str, number: int, hands_may_leave: bool) -> tuple[list[Option],
     return found, told
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.long
-@pytest.mark.parametrize("number", [0, *(pytest.param(k, marks=pytest.mark.nightly) for k in (1, 2))])
+@pytest.mark.parametrize("number", [0, 1, 2])
 @pytest.mark.parametrize("robot", ["gr", "dawm", "fr"])
 def test_the_best_in_place_is_an_option_with_a_path_where_the_hands_may_leave(
     robot: str, number: int
@@ -54,6 +55,7 @@ def test_the_best_in_place_is_an_option_with_a_path_where_the_hands_may_leave(
     assert any((option.q == expected).all() and option.path is not None for option in in_place)
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize("robot", ["gr", "dawm", "fr"])
 def test_options_that_are_shown_keep_their_ranks(robot: str) -> None:

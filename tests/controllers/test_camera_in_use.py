@@ -173,6 +173,7 @@ def test_a_target_that_is_hidden_is_left_for_the_next_and_returned_to_without_a_
     assert loop.violations == 0
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.parametrize("name", ["paper", "qp"])
 def test_a_target_that_is_seen_only_from_where_another_is_watched_is_tried_less_and_less_often(
     name: str,

@@ -54,6 +54,7 @@ def test_the_lens_moves_until_both_eyes_see_between_the_fingers_and_keeps_angle_
     assert clear.violations == 0
 
 
+@pytest.mark.by_day(2)
 @pytest.mark.parametrize("aside_m", [-0.1, -0.03, 0.03, 0.1])
 def test_the_lens_moves_round_a_post_to_either_side(aside_m: float) -> None:
     focus = at(0.0, 0.0, 1.25)

@@ -196,7 +196,7 @@ with told_of_compiling(print):
 """
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_machine_code_goes_with_a_package_to_another_place(tmp_path: Path) -> None:
     laws = tmp_path / "here" / "moved" / "laws"
     laws.mkdir(parents=True)

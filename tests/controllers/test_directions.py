@@ -76,6 +76,7 @@ def goes_as_far(robot: str, rates: dict[str, float]) -> None:
     assert found.reached > max(before, pink) - SPEEDING_UP * whole, found
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("robot", "axis", "rate"),
@@ -85,19 +86,15 @@ def test_coupled_goes_as_far_as_decoupled_and_as_pink_on_its_line(robot: str, ax
     goes_as_far(robot, {axis: rate})
 
 
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "robot", ["fr", *(pytest.param(robot, marks=pytest.mark.nightly) for robot in ("dawm", "gr"))]
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("robot", ["fr", "dawm", "gr"])
 def test_coupled_goes_as_far_in_every_direction(robot: str) -> None:
     for rates in commands(model(robot)):
         goes_as_far(robot, rates)
 
 
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "robot", ["fr", *(pytest.param(robot, marks=pytest.mark.nightly) for robot in ("dawm", "gr"))]
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("robot", ["fr", "dawm", "gr"])
 def test_decoupled_goes_as_far_as_before(robot: str) -> None:
     for rates in commands(model(robot)):
         found = gone(robot, DECOUPLED, rates)
@@ -216,7 +213,7 @@ def test_a_drive_that_keeps_clear_ends_where_bodies_come_near_and_says_so() -> N
     assert "come no nearer" in limited
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_one_command_prints_directions_and_the_cost_of_a_step() -> None:
     done = subprocess.run(
         [

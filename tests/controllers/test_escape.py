@@ -168,7 +168,7 @@ def test_with_nobody_in_the_way_it_is_the_quadratic_programme() -> None:
         q = q + one
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_an_attack_on_the_elbow_that_reaches_the_programme_does_not_reach_the_escape() -> None:
     options = Options(
         leader_speed_m_s=0.5, target="elbow", gated=False, duration_s=6.0, settle_s=1.0, seed=104

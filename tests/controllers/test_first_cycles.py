@@ -19,10 +19,7 @@ import deltaq_controllers
 pytestmark = [pytest.mark.long, pytest.mark.timeout(1200)]
 
 COMPILED = [case for case in first_cycles.CASES if not case.startswith(("leader", "attacker"))]
-EACH_KIND = (
-    *("modes-gr", "modes-dawm", "qp", "attacker", "counsel-gr"),
-    *("operated-fr", "master-gr"),
-)
+EACH_KIND = ("qp", "attacker", "counsel-gr", "operated-fr")
 """Cases that stand for their kind in every run; the others take their turn at night."""
 
 SUPPORT = Path(published_arms.__file__).parent

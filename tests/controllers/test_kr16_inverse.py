@@ -50,7 +50,7 @@ def test_many_poses_are_placed_as_the_model_places_one() -> None:
     assert np.abs(poses(q) - np.array([pose(one) for one in q])).max() < 1e-14
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_every_branch_of_100000_poses_reaches_its_pose_to_1e_12() -> None:
     q = np.random.default_rng(2).uniform(-np.pi, np.pi, (100_000, 6))
     wanted = poses(q)

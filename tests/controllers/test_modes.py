@@ -315,7 +315,7 @@ def swept(robot: str, joint: str, up_s: float, down_s: float) -> tuple[float, fl
     return max(o[0] for o in off), max(o[1] for o in off), float(np.ptp(positions))
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_measured_hands_stay_over_a_sweep_through_the_whole_stack() -> None:
     off_m, off_rad, travelled = swept("gr", "a1", 3.0, 4.5)
     assert off_m < KEPT_M

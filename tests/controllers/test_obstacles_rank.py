@@ -94,6 +94,7 @@ def costs(task: AdvisorProblem, names: tuple[str, ...], q: Array) -> Array:
     return Normalised(task.data, dict.fromkeys(names, 1.0)).costs(Postures(task.data, q))
 
 
+@pytest.mark.nightly
 def test_without_a_structure_both_sides_are_equal() -> None:
     task = problem(None)
     left, right = task.energies(np.array(sides()))

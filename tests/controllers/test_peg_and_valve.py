@@ -126,7 +126,7 @@ def test_noise_grows_with_the_command_and_is_there_in_every_axis_of_the_stick() 
     assert hand.done(still, STICK, 0) == still
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_one_action_in_fifty_goes_wrong_and_is_noticed_one_reaction_later() -> None:
     person = Person(noise=0.0)
     hand = OperatorHand(person, CYCLE_S, np.random.default_rng(2))

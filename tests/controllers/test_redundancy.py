@@ -28,6 +28,7 @@ def inverse_weight(limit_scale: float) -> float:
     return float(inverse_weights(WeightedGradient(LOWER, UPPER, limit_scale, 0.0), q, AT_REST)[1])
 
 
+@pytest.mark.nightly
 def test_the_scale_of_the_weights_makes_the_unit_of_angle_explicit() -> None:
     assert inverse_weight(1.0) == pytest.approx(0.05, abs=0.005)
     assert inverse_weight(DEGREES) == pytest.approx(0.994, abs=0.001)

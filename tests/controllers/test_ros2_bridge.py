@@ -210,7 +210,7 @@ def test_a_router_that_ends_is_found_again(server: Server) -> None:
         first.close()
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_whoever_is_not_there_at_the_beginning_is_named(server: Server) -> None:
     nowhere, hli = endpoint(), server.description.hli
     with pytest.raises(ServiceUnreachableError, match=f"no zenoh router answers at {nowhere}"):

@@ -221,10 +221,9 @@ def test_a_gantry_is_moved_in_metres_and_radians(lab: Any) -> None:
     assert driven.off_path() < 1e-4
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in range(2, 8))]
-)
+@pytest.mark.parametrize("seed", range(8))
 def test_any_trajectory_within_the_limits_is_driven_on_its_path_without_a_word_of_the_gate(
     lab: Any, seed: int
 ) -> None:

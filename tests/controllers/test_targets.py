@@ -66,6 +66,7 @@ def test_nobody_is_returned_to_before_having_been_visible_for_a_while(
             assert not all(seen[before] for seen in lately)
 
 
+@pytest.mark.nightly
 @given(st.lists(st.booleans(), min_size=400, max_size=800))
 def test_a_target_that_is_seen_now_and_then_is_returned_to_less_and_less_often(visible: list[bool]) -> None:
     # for as long as it is hidden soon after each return, as where the camera that turns to it cannot see it

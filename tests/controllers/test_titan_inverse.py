@@ -51,7 +51,7 @@ def test_the_forward_kinematics_is_that_of_the_chain_of_joints() -> None:
         assert np.abs(titan.forward(q) - chain(q)).max() < 1e-14
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_every_branch_of_100000_poses_reaches_its_pose_to_1e_12() -> None:
     q = np.random.default_rng(2).uniform(-np.pi, np.pi, (100_000, 6))
     poses = titan.forward(q)

@@ -23,6 +23,7 @@ def test_the_leader_at_a_quarter_metre_per_second_is_kept_within_a_degree_and_tw
     assert distance.max() < 0.0124 + 0.003
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_so_it_is_with_drives_that_lag_within_the_same_latency(seed: int) -> None:
     # 24 ms old knowledge, one cycle of dead time and 24 ms of second order are 60 ms again

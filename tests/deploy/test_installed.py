@@ -46,6 +46,7 @@ def test_the_command_of_a_bare_install_says_what_to_install(bare: Installed, wor
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.nightly
 def test_a_complete_install_lacks_nothing_and_checks_a_cell(complete: Installed) -> None:
     assert missing(complete) == set()
     done = complete.run("deltaq", "check", "lab")

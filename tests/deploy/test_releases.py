@@ -56,7 +56,7 @@ def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tree
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_the_source_archive_makes_the_same_wheel_as_the_tree(
     unpacked: Path, wheel: Path, tmp_path: Path
 ) -> None:

@@ -88,7 +88,7 @@ def test_every_module_of_the_protocol_can_be_imported() -> None:
     assert int(run_without(EVERY_PART_OF_THE_PROTOCOL)) > 40
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_a_policy_is_trained_in_virtual_time() -> None:
     assert run_without(ENVIRONMENT) == "admitted\n"
 
@@ -98,6 +98,6 @@ def test_the_command_checks_a_cell() -> None:
     assert run_without(COMMAND).startswith("lab: good\n")
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_an_experiment_runs_in_virtual_time() -> None:
     assert '"experiment": "tracking"' in run_without(EXPERIMENT)

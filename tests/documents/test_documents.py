@@ -75,7 +75,7 @@ def test_the_citation_file_follows_its_format() -> None:
     assert checked.returncode == 0, checked.stdout
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_help_is_there_for_every_verb() -> None:
     for name in COMMANDS:
         result = CliRunner().invoke(app, [name, "--help"])

@@ -53,7 +53,7 @@ def test_a_notebook_is_kept_without_what_a_run_left_in_it(notebook: Path) -> Non
     assert not any(cell.outputs or cell.execution_count for cell in code)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_an_own_controller_is_recorded_and_replayed(tmp_path: Path) -> None:
     seen = executed("own_controller.ipynb", tmp_path)
     assert "the same" in seen.printed

@@ -81,7 +81,7 @@ def test_the_python_api_is_there_with_its_docstrings_and_can_be_searched_for(sit
         assert texts[f"api/{module}.html#{module}.{name}"]
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_an_example_has_a_page_with_its_text(site: Path) -> None:
     assert 'href="tree/examples/with_asyncio.py.html"' in (site / "examples.html").read_text(encoding="utf-8")
     page = (site / "tree" / "examples" / "with_asyncio.py.html").read_text(encoding="utf-8")

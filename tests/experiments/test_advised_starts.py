@@ -23,6 +23,7 @@ def test_what_was_made_of_the_starts_is_told_as_one_object(capsys: pytest.Captur
     assert sum(found.tightest.values()) <= sum(found.bound_by.values())
 
 
+@pytest.mark.nightly
 def test_a_robot_of_ones_own_is_asked_about_in_its_cell(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -42,7 +43,8 @@ def test_a_robot_of_ones_own_is_asked_about_in_its_cell(
         assert said in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("robot", ["dawm", pytest.param("gr", marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("robot", ["dawm", "gr"])
 def test_the_best_option_of_a_start_is_reached_through_the_gate_with_the_hands_in_place(robot: str) -> None:
     found = run(robot, 2, seed=6, drive=1)
     assert (found.driven, found.reached) == (1, 1)
@@ -50,6 +52,7 @@ def test_the_best_option_of_a_start_is_reached_through_the_gate_with_the_hands_i
     assert found.hands_off_m < (1e-4 if robot == "dawm" else 1e-3)
 
 
+@pytest.mark.nightly
 def test_a_drive_that_is_not_over_is_not_told_as_one_that_arrived(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(advised_drive, "LONGEST_S", 0.1)
     found = run("dawm", 2, seed=6, drive=1)

@@ -8,6 +8,7 @@ from deltaq_experiments.bench.ways import MessageWay, ways
 
 
 @pytest.mark.service
+@pytest.mark.nightly
 def test_every_way_answers_and_has_its_row() -> None:
     bare, *others = MessageWay
     found = ways(cycles=5)

@@ -170,7 +170,7 @@ def test_a_distance_about_which_it_swings_is_reached_on_average_only() -> None:
     assert told.why_not == "reached on average only: the leader moves on meanwhile"
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_a_leader_that_attacks_the_lens_touches_nothing() -> None:
     outcome = collision.run(Options(controller="qp", duration_s=4.5, settle_s=0.0, leader_speed_m_s=0.5))
     report = outcome.report
@@ -312,7 +312,7 @@ def sheet_of(claim: Claim) -> Sheet:
     return replace(CAMERA, claims=(claim,))
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_a_page_has_as_many_runs_of_each_claim_as_asked_for(tmp_path: Path) -> None:
     claim = next(claim for claim in CLAIMS if claim.experiment == "tracking" and claim.picture)
     short = replace(claim, options=replace(claim.options, duration_s=1.0, settle_s=0.5))
@@ -424,7 +424,7 @@ def test_the_example_of_ones_own_controller_follows_and_is_short() -> None:
     assert "scaled 0, held 0" in run.stdout
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_the_cost_of_a_step_is_told_as_a_distribution() -> None:
     quiet, once = step_bench.run("qp", 0.25, attacked=False, duration_s=0.5, passes=3)
     assert list(quiet) == list(once) == ["p50_us", "p90_us", "p99_us", "p99.9_us", "p100_us"]

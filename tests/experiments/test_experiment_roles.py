@@ -57,6 +57,7 @@ ATTACK = Options(controller="qp", duration_s=0.6, settle_s=0.0, leader_speed_m_s
 UNGATED = Options(controller="escape", duration_s=0.6, settle_s=0.0, gated=False)
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("run", "options"),
@@ -98,6 +99,7 @@ def with_a_second_camera(folder: Path) -> Path:
     return file
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize("camera", ["fr", "second"])
 def test_each_camera_of_a_cell_of_three_robots_tracks_the_one_without(camera: str, tmp_path: Path) -> None:

@@ -80,6 +80,7 @@ def test_what_cannot_be_measured_is_said(
     assert told in capsys.readouterr().err
 
 
+@pytest.mark.nightly
 def test_a_cell_that_does_not_come_up_is_counted_and_waited_for_no_longer(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

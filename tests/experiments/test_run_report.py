@@ -275,7 +275,7 @@ def test_the_same_recording_gives_the_same_page(recorded: Path) -> None:
     assert page(read_run(recorded)) == page(read_run(recorded))
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_a_page_grows_with_its_width_and_not_with_the_recording(recorded: Path) -> None:
     run = read_run(recorded)
     short = len(timeline(run))

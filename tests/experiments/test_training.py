@@ -74,7 +74,7 @@ def test_a_reset_says_which_option_is_wrong(env: CameraEnvironment, options: dic
         env.reset(options=options)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_gymnasiums_own_checker_finds_nothing() -> None:
     made = gymnasium.make(f"deltaq_experiments.training:{ENVIRONMENT}", duration_s=0.12)
     check_env(made.unwrapped, skip_render_check=True)

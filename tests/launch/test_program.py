@@ -41,6 +41,7 @@ def test_each_program_that_a_user_starts_ends_in_this_way(file: Path) -> None:
     assert "    run_program(main, " in file.read_text(encoding="utf-8")
 
 
+@pytest.mark.by_day(3)
 @pytest.mark.parametrize(
     ("command", "told"),
     [

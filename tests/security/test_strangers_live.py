@@ -4,12 +4,13 @@ import json
 import os
 import subprocess
 import sys
+import time
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
-from live_stack import live_stack
+from live_stack import TIMEOUT_S, live_stack
 
 from deltaq_emulator.states import KrcState
 from deltaq_launch.cell_connection import connect
@@ -17,7 +18,7 @@ from deltaq_protocol.messages import Phase
 from deltaq_services.guarded_key import guarded_seal, key_file_of_launch, realm_of
 from deltaq_verification.faults.panel import recovery
 
-pytestmark = pytest.mark.live
+pytestmark = [pytest.mark.live, pytest.mark.timeout(300)]
 
 NOBODY = 65534
 PROGRAM = Path(__file__).parents[1] / "support" / "stranger.py"
@@ -43,13 +44,15 @@ def attacker(cell_file):
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         yield Attacker(process)
         process.stdin.close()
-        assert process.wait(300) == 0
+        assert process.wait(60) == 0
 
 
-def forge_until(counted, stack, stranger):
+def say_until(counted, what, stack, stranger):
+    deadline = time.monotonic() + TIMEOUT_S
     with connect(stack.cell, "test") as running:
         while not counted(running.status()):
-            stranger.does("forge")
+            assert time.monotonic() < deadline, running.status()
+            stranger.does(what)
             stack.wait_cycles(2)
         return running.status()
 
@@ -71,7 +74,7 @@ def test_nothing_that_a_stranger_says_moves_frees_or_confuses_a_running_cell(tmp
 
         # while the cell may move: nothing moves, nothing is set
         before = stack.setpoint()
-        status = forge_until(counted_everywhere, stack, stranger)
+        status = say_until(counted_everywhere, "forge", stack, stranger)
         assert status.contacts == ()
         assert [robot.phase for robot in status.robots.values()] == [Phase.READY] * 2
         assert not [name for name in status.gate if name.startswith("command_")]
@@ -82,25 +85,21 @@ def test_nothing_that_a_stranger_says_moves_frees_or_confuses_a_running_cell(tmp
         with connect(stack.cell, "test") as running:
             running.stop()
             held = running.status()
-        status = forge_until(lambda now: forged(now) > forged(held) + 20, stack, stranger)
+        status = say_until(lambda now: forged(now) > forged(held) + 20, "forge", stack, stranger)
         for robot in status.robots.values():
             assert (robot.phase, robot.reason) == (Phase.HELD, "operator_stop")
 
         # a recording of all this moves no robot whose server has just started
         stack.launcher.restart("robot-server-fr")
         stranger.does("repeat")
-        while stack.emulator()["state"] == KrcState.RSI_RUNNING:  # until it misses the one that ended
-            pass
+        stack.wait_until_it_leaves(KrcState.RSI_RUNNING)  # it misses the one that ended
         for request in recovery(stack.emulator()["state"]):
             stack.ask(**request)
         stranger.does("repeat")
         stack.wait_for_reason("server_lost")
-        with connect(stack.cell, "test") as running:
-            while not running.status().robots["fr"].counters.get("unbound_admission"):
-                stranger.does("repeat")
-                stack.wait_cycles(2)
-            assert running.status().robots["fr"].phase is Phase.HELD
-            assert running.status().contacts == ()
+        status = say_until(unbound, "repeat", stack, stranger)
+        assert status.robots["fr"].phase is Phase.HELD
+        assert status.contacts == ()
         np.testing.assert_allclose(stack.setpoint(), before, atol=1e-3)  # the new session is probed
 
         # and the operator's reset still counts
@@ -118,6 +117,10 @@ def admissions(stack):
 
 def forged(status):
     return status.gate.get("forged_messages", 0)
+
+
+def unbound(status):
+    return status.robots["fr"].counters.get("unbound_admission")
 
 
 def counted_everywhere(status):

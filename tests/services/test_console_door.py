@@ -29,6 +29,7 @@ async def answered(host, head):
     return line.decode()
 
 
+@pytest.mark.by_day(2)
 @pytest.mark.long
 @pytest.mark.parametrize(
     "origin", ["https://evil.example", "http://127.0.0.1:1", "http://localhost.evil.example", "null"]

@@ -127,6 +127,7 @@ async def test_whoever_listens_where_the_hli_does_learns_no_token(tmp_path):
 
 
 @pytest.mark.service
+@pytest.mark.nightly
 async def test_its_drivers_take_leases_by_the_same_token(tmp_path):
     async with operated(tmp_path, OPERATOR) as (browser, hli):
         await browser.ask("lease", robot="fr", action="take")

@@ -64,6 +64,7 @@ def test_a_flood_of_invented_names_is_bounded_and_counted_and_takes_no_line_from
     assert groups.add(stop, 100.0) == [CountedDeed(stop, 100.0, 1)]
 
 
+@pytest.mark.by_day(2)
 @pytest.mark.long
 @pytest.mark.parametrize("names", [1, MOST_GROUPS, 10 * MOST_GROUPS, 10_000])
 def test_the_worst_flood_of_a_kind_drives_no_entry_out_of_the_files_within_hours(names: int) -> None:

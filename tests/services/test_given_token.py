@@ -103,6 +103,7 @@ async def test_a_client_and_a_command_take_theirs_from_a_file(
         await asyncio.to_thread(reset, description)
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.parametrize(
     "names", ["DELTAQ_CLIENT_TOKEN_FILE", "DELTAQ_OPERATOR_TOKEN_FILE", "DELTAQ_CLIENT_IDENTITY"]
 )

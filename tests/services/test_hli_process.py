@@ -142,6 +142,7 @@ async def test_a_cell_that_does_not_exist_ends_it_with_status_2() -> None:
     assert b"Traceback" not in err
 
 
+@pytest.mark.nightly
 async def test_kill_9_in_a_flood_leaves_whole_lines_in_the_audit_log_and_the_next_process_appends(
     tmp_path: Path,
 ) -> None:

@@ -304,6 +304,7 @@ def test_on_a_quiet_wire_every_cycle_has_an_admission_and_clients_know_where_it_
         assert (told.q_cmd if told.q_ahead is None else told.q_ahead) == then.q_cmd
 
 
+@pytest.mark.by_day(4)
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [11, 12, 13])
 def test_where_admissions_are_lost_nothing_is_taken_that_the_gate_did_not_reckon_with(

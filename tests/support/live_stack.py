@@ -26,6 +26,9 @@ MOVER = Path(__file__).with_name("mover.py")
 MOVING_RAD_S = np.deg2rad(25)
 TIMEOUT_S = 200.0
 
+PATIENT = "extends: lab\nlease_s: 3.0\n"
+"""A holder that waits for a processor of a busy machine is given up less soon than in the cell that is shipped."""
+
 
 class Stack:
     """What a test can see of it and do to it."""
@@ -69,6 +72,13 @@ class Stack:
         deadline = time.monotonic() + TIMEOUT_S
         while not any(text in line for line in list(self.launcher.children[service].lines)):
             assert time.monotonic() < deadline, list(self.launcher.children[service].lines)
+            self._pause()
+
+    def wait_until_it_leaves(self, state):
+        """Until the emulated controller is in any state but this."""
+        deadline = time.monotonic() + TIMEOUT_S
+        while self.emulator()["state"] == state:
+            assert time.monotonic() < deadline, self.phase()
             self._pause()
 
     def wait_cycles(self, count):
@@ -151,7 +161,7 @@ def live_stack(
     folder,
     *,
     moving=False,
-    base="lab",
+    base=None,
     guarded="127.0.0.1",
     transport="tcp",
     rewired=lambda services, file: services,
@@ -159,8 +169,12 @@ def live_stack(
     """Start a cell; `moving` adds a controller that swings A1 of the floor robot for ever.
 
     `guarded` is where HLI, SIM and Robot Servers meet, over `transport`; on the loopback by a key that this launch
-    makes. `rewired` may change the services before they start; it is given the cell's file too.
+    makes. `base` is a patient lab if none is given. `rewired` may change the services before they start; it is given
+    the cell's file too.
     """
+    if base is None:
+        base = folder / "patient.yaml"
+        base.write_text(PATIENT)
     file = write_private_cell(folder, base, guarded, transport)
     cell = CellModel.load(file)
     record = folder / "fr.csv"
@@ -179,7 +193,7 @@ def live_stack(
             environment.delenv(KEY_FILE, raising=False)
         launcher.start()
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as panel:
-            panel.settimeout(300)
+            panel.settimeout(30)
             stack = Stack(launcher, cell, record, panel)
             if moving:
                 stack.wait_until_moving()

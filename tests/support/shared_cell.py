@@ -23,8 +23,6 @@ from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Phase
 from deltaq_verification.faults.panel import PanelClient, recovery
 
-PATIENT = "extends: lab\nlease_s: 3.0\n"
-"""A holder that waits for a processor of a busy machine is given up less soon than in the cell that is shipped."""
 APPROACH, OF_FASTEST = 0.2, 0.2
 """Share of what is missing to home that is asked for in a cycle, and of the largest increment."""
 
@@ -110,9 +108,7 @@ class SharedStack(Stack):
 
 @contextmanager
 def shared_cell(folder: Path) -> Iterator[SharedStack]:
-    patient = folder / "patient.yaml"
-    patient.write_text(PATIENT)
-    with live_stack(folder, base=patient) as stack:
+    with live_stack(folder) as stack:
         yield SharedStack.of(stack, folder)
 
 

@@ -155,6 +155,7 @@ def main():
         os.setuid(user)
     stranger = Stranger(cell)
     print(json.dumps({"uid": os.geteuid()}), flush=True)
+    recorded = []  # what is heard after `record` would drive it out, the slower a machine the sooner
     for line in sys.stdin:
         verb, _, file = line.strip().partition(" ")
         stranger.hear()
@@ -166,11 +167,12 @@ def main():
                 except OSError as error:
                     answer = type(error).__name__
             case "record":
-                answer = len(stranger.recording)
+                recorded = stranger.recording
+                answer = len(recorded)
             case "forge":
                 stranger.forge()
             case "repeat":
-                stranger.repeat(stranger.recording)
+                stranger.repeat(recorded)
         print(json.dumps(answer), flush=True)
     stranger.close()
 

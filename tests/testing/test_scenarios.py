@@ -99,6 +99,7 @@ def test_a_bad_field_is_named_with_line_value_and_bound_and_nothing_is_run(folde
     assert "changed.yaml:" in str(result.exception)
 
 
+@pytest.mark.by_day(4)
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("before", "after", "told"),
@@ -250,7 +251,7 @@ def test_a_search_finds_the_fault_writes_it_and_the_file_fails_again(folder):
     assert invoke("run", found).exit_code == 1
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_a_search_that_finds_nothing_says_how_much_it_looked(folder):
     search = "search: {faults: [krc_duplicating], most: 1}\nexpect:"
     file = changed(folder, ("expect:", search), ("duration_s: 1.0", "duration_s: 0.7"))

@@ -23,6 +23,7 @@ def test_thousands_of_decisions_under_attack_break_nothing(seed):
     assert report.decided > 1500
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.parametrize("lookahead_cycles", [2, 3])
 def test_what_is_in_flight_under_attack_breaks_nothing(tmp_path, lookahead_cycles):
     file = tmp_path / "ahead.yaml"

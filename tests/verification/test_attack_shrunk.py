@@ -91,7 +91,7 @@ def test_no_short_attack_beside_one_another_breaks_anything(moves):
     assert broken(moves) is None
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.timeout(300)
 def test_a_gate_that_certifies_anything_is_found_out_and_its_failure_is_shrunk():
     careless = patch.object(CompiledCertifier, "certify", lambda *_: Certificate(holds=True, binding=None))

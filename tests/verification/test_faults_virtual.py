@@ -75,6 +75,7 @@ def test_a_loss_brakes_the_robot_at_once_and_holds_it_with_its_name(lab, name, r
     assert row.named_after_s <= named_s
 
 
+@pytest.mark.by_day(2)
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "later_cycles"),

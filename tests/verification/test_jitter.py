@@ -100,7 +100,8 @@ def run(lab, seed, jitter, keeps=True):
     return Run(braked, longest, told, fresh)
 
 
-@pytest.mark.parametrize("jitter", [SLOW_CONTROLLER, pytest.param(SLOW_GATE, marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("jitter", [SLOW_CONTROLLER, SLOW_GATE])
 def test_late_answers_cost_hardly_a_cycle_where_each_cost_one(lab, jitter):
     with_hand = [run(lab, seed, jitter) for seed in SEEDS]
     without = [run(lab, seed, jitter, keeps=False) for seed in SEEDS]

@@ -125,6 +125,7 @@ def largest_share(
     trial_budget: int,
     halvings: int,
     rounds: int,
+    tells: bool,
     suspected: Suspected,
     stack: Stack,
     found: Findings,
@@ -145,6 +146,7 @@ def largest_share(
         trial_budget: of these, what one trial of suspects may spend on one other tube.
         halvings: how finely a share is searched.
         rounds: searches that end with a certificate.
+        tells: False. It is handed over because numba compiles `certify` once more for a constant, in a minute.
         suspected: has the pairs at which the certificate of `refused` failed; is written to.
         stack: is written to.
         found: is written to.
@@ -167,6 +169,7 @@ def largest_share(
             budget,
             trial_budget,
             sets,
+            tells,
             suspected,
             stack,
             found,
@@ -187,6 +190,7 @@ def largest_share(
                 budget,
                 trial_budget,
                 sets,
+                tells,
                 suspected,
                 stack,
                 found,
@@ -195,7 +199,7 @@ def largest_share(
                 share += step
         mine = lay_course(course, share)
         failed, budget, _, first, last = certify_all(
-            cell, placed, mine, against, pairs, every, room_m, budget, False, stack, found, told
+            cell, placed, mine, against, pairs, every, room_m, budget, tells, stack, found, told
         )
         if failed == NONE:
             return share, budget
@@ -206,7 +210,7 @@ def largest_share(
             _suspect(suspected, sets, stack.chosen[first:last], against.tubes[failed, 11])
     mine = lay_course(course, least)
     failed, budget, _, _, _ = certify_all(
-        cell, placed, mine, against, pairs, every, room_m, budget, False, stack, found, told
+        cell, placed, mine, against, pairs, every, room_m, budget, tells, stack, found, told
     )
     return (least if failed == NONE else 0.0), budget
 
@@ -223,6 +227,7 @@ def _keep(
     budget: int,
     trial_budget: int,
     sets: int,
+    tells: bool,
     suspected: Suspected,
     stack: Stack,
     found: Findings,
@@ -236,7 +241,7 @@ def _keep(
                 continue
             theirs = _tube(against, number)
             given = min(budget, trial_budget)
-            verdict = certify(cell, placed, mine, theirs, pairs, asked, room_m, given, False, stack, found)
+            verdict = certify(cell, placed, mine, theirs, pairs, asked, room_m, given, tells, stack, found)
             budget -= given - verdict.left
             if not verdict.holds:
                 return False, budget

@@ -3,6 +3,8 @@
 
 #include "deltaq.hpp"
 
+constexpr int settled = 20;  // states: longer than anything that was given up for lost can still be on its way
+
 int main(int, char** given) try {
   deltaq::Client lab(given[1], given[2]);
   lab.acquire("fr", true);
@@ -10,7 +12,8 @@ int main(int, char** given) try {
   deltaq::Json state = lab.next_state();
   const double target = state["q_cmd"].numbers()[0] + std::stod(given[3]);
   double delay = 0;
-  for (; std::abs(target - state["q_cmd"].numbers()[0]) > 1e-3; state = lab.next_state()) {
+  for (int there = 0; there <= settled; state = lab.next_state()) {
+    there = std::abs(target - state["q_cmd"].numbers()[0]) < 1e-3 ? there + 1 : 0;
     delay = std::max(delay, state["playout"]["delay_cycles"].number);
     for (double cycle : lab.cycles_to_answer()) {
       const double left = target - lab.ahead()[0];

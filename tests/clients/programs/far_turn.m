@@ -7,7 +7,14 @@ function far_turn(host, port, angle)
     state = lab.next_state();
     target = state.q_cmd(1) + angle;
     delay = 0;
-    while abs(target - state.q_cmd(1)) > 1e-3
+    there = 0;
+    settled = 20; % states: longer than anything that was given up for lost can still be on its way
+    while there <= settled
+        if abs(target - state.q_cmd(1)) < 1e-3
+            there = there + 1;
+        else
+            there = 0;
+        end
         for cycle = lab.cycles_to_answer()
             q = lab.ahead();
             lab.send([max(-step, min(step, 0.2 * (target - q(1)))), 0, 0, 0, 0, 0], cycle);
