@@ -20,7 +20,7 @@ BASE ?= python:3.11-slim-bookworm
 # Python compiles a module once and keeps that, also where the environment forbids it: tests start hundreds of processes
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help install compiled-gate compiled-camera demo test test-cells test-rest quick lint nightly mutation container-test wheels image docs site site-version figures constraints clean
+.PHONY: help install compiled-gate compiled-camera demo test test-live test-services test-rest quick lint nightly mutation container-test wheels image docs site site-version figures constraints clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -54,16 +54,19 @@ demo: $(INSTALLED) $(COMPILED) ## start the emulated lab cell and let the camera
 
 test: $(INSTALLED) ## lint, types, rooms, tests
 	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target compiled-gate lint compiled-camera
-	@echo "two runs of the tests side by side; each is shown as it ends"
-	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target test-cells test-rest
+	@echo "single services, and beside them all that starts none; each is shown as it ends"
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target test-services test-rest
+	@echo "whole cells, one at a time and nothing beside them: their services come before everything else"
+	@$(MAKE) --no-print-directory test-live
 
-# one cell at a time, and nothing beside it but what gives way to it; a test waits for most of its life, so others compute
-test-cells: $(INSTALLED) $(COMPILED)
-	$(BIN)/pytest -m service
+test-live: $(INSTALLED) $(COMPILED)
 	$(BIN)/pytest -m live
 
+test-services: $(INSTALLED) $(COMPILED)
+	$(BIN)/pytest -m service
+
 test-rest: $(INSTALLED) $(COMPILED)
-	nice -n 19 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not live and not service'
+	nice -n 10 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not live and not service'
 
 # one worker more than two cores have: some of these tests wait
 quick: $(INSTALLED) $(COMPILED) lint ## lint, types, rooms, and the tests that take little time

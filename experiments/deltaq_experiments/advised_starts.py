@@ -26,7 +26,6 @@ from deltaq_controllers.live import model_of
 from deltaq_experiments.advised_drive import driven_to
 from deltaq_launch.program import run_program
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.errors import DeltaqError
 
 CELLS = {"gr": "lab", "fr": "lab", "dawm": "dawm"}
 """The cell of each robot that is asked about without naming one."""
@@ -197,10 +196,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     if given.cell is None and given.robot not in CELLS:
         parser.error(f"--robot {given.robot}: name its cell as well, --cell NAME or FILE")
-    try:
-        found = run(given.robot, given.starts, given.seed, given.drive, given.hands_may_leave, given.cell)
-    except DeltaqError as error:
-        parser.error(str(error))
+    found = run(given.robot, given.starts, given.seed, given.drive, given.hands_may_leave, given.cell)
     if given.json:
         print(found.model_dump_json(indent=2))
     else:

@@ -27,7 +27,6 @@ from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.surroundings.surroundings import RobotSurroundings
 from deltaq_launch.program import run_program
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.errors import DeltaqError
 
 HAND_M_S, HAND_RAD_S = 0.1, 0.2
 """Rates that are commanded."""
@@ -204,17 +203,14 @@ def main() -> int:
     if options.passes < 1:
         parser.error(f"--passes {options.passes}: at least 1")
     for name in options.mode:
-        try:
-            directions, steps = run(
-                options.cell,
-                options.robot,
-                ModeName(name),
-                options.duration_s,
-                options.passes,
-                options.keeps_clear,
-            )
-        except DeltaqError as error:
-            parser.error(str(error))
+        directions, steps = run(
+            options.cell,
+            options.robot,
+            ModeName(name),
+            options.duration_s,
+            options.passes,
+            options.keeps_clear,
+        )
         whole = sum(one.share >= WHOLE for one in directions)
         if options.json:
             told = {

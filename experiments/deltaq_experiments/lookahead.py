@@ -20,7 +20,6 @@ from pydantic import BaseModel, ConfigDict
 
 from deltaq_experiments.figures import save
 from deltaq_launch.program import run_program
-from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.guarded import Admission
 from deltaq_verification.virtual_cell.cell import VirtualCell
 from deltaq_verification.virtual_cell.delayed_wire import DelayedWire
@@ -230,12 +229,9 @@ def main(argv: Sequence[str] | None = None) -> None:
                 flush=True,
             )
 
-    try:
-        found = rows(options.lookaheads, options.seeds, options.cycles, show)
-        if options.figure is not None:
-            draw(found, options.figure)
-    except DeltaqError as error:
-        parser.error(str(error))
+    found = rows(options.lookaheads, options.seeds, options.cycles, show)
+    if options.figure is not None:
+        draw(found, options.figure)
     if options.json:
         print(json.dumps([row.model_dump() | {"braked_share": row.braked_share} for row in found], indent=2))
 

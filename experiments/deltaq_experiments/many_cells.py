@@ -23,7 +23,6 @@ from deltaq_cell.load import load_cell
 from deltaq_experiments.bench.live import LiveRun
 from deltaq_launch.private_cell import write_private_cell
 from deltaq_launch.program import run_program
-from deltaq_protocol.errors import DeltaqError
 
 CELLS = (1, 2, 3, 4)
 DURATION_S = 30.0
@@ -159,10 +158,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         if not options.json:
             print(_words(row), flush=True)
 
-    try:
-        found = rows(options.cell, options.cells, options.duration_s, show)
-    except DeltaqError as error:
-        parser.error(str(error))
+    found = rows(options.cell, options.cells, options.duration_s, show)
     if options.json:
         print(json.dumps([row.model_dump() for row in found], indent=2))
 

@@ -25,7 +25,6 @@ from deltaq_controllers.modes.motion import ModeName
 from deltaq_experiments.directions import commands, drive
 from deltaq_launch.program import run_program
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.errors import DeltaqError
 
 EPS = 1e-9
 """Accuracy that is asked of solvers that iterate towards the answer, in the programmes' units (mm)."""
@@ -226,10 +225,7 @@ def main() -> None:
     given = parser.parse_args()
     if given.every < 1:
         parser.error(f"--every {given.every}: at least 1")
-    try:
-        asked = programmes(given.cell, given.robot, ModeName(given.mode), given.duration_s, given.every)
-    except DeltaqError as error:
-        parser.error(str(error))
+    asked = programmes(given.cell, given.robot, ModeName(given.mode), given.duration_s, given.every)
     if not asked:
         parser.error(f"--duration-s {given.duration_s:g}: too short, no programme was solved")
     found = timed(asked)

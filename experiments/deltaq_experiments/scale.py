@@ -24,7 +24,6 @@ from deltaq_experiments.bench.decisions import RawDistances, Stopwatch
 from deltaq_experiments.figures import save
 from deltaq_launch.program import run_program
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import Outcome
 from deltaq_verification.virtual_cell.cell import VirtualCell
 
@@ -257,10 +256,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     if options.json:
         print(json.dumps([row.model_dump() for row in measured], indent=2))
     if options.figure is not None:
-        try:
-            _draw(measured, options.figure)
-        except DeltaqError as error:
-            parser.error(str(error))
+        _draw(measured, options.figure)
 
 
 if __name__ == "__main__":

@@ -168,7 +168,7 @@ class BlockingCell:
             try:
                 state, seen = newest.wait_after(seen, SILENCE_S)
             except TimeoutError:
-                self.status()  # raises if the server is gone
+                self._background.run(self._cell.ask_whether_there())  # a robot that is offline is waited for
                 continue
             yield state
 

@@ -75,7 +75,7 @@ class Cell:
     def __init__(self, wire: Wire, description: Description, client: str, role: RoleProver | None) -> None:
         self.description = description
         self.robots: dict[str, RobotSummary] = description.robots
-        self._heard = Subscriptions(wire, description.cell, description.robots, self.status)
+        self._heard = Subscriptions(wire, description.cell, description.robots, self.ask_whether_there)
         self.counters: Counter[str] = self._heard.counters
         self._wire = wire
         self._client = client
@@ -214,6 +214,20 @@ class Cell:
             ServiceUnreachableError: no answer in time.
         """
         return await self._asking.ask(Status, topics.STATUS, DescribeRequest())
+
+    async def ask_whether_there(self) -> None:
+        """Ask the server for anything, after a silence.
+
+        A machine that stalls for longer than a link lives loses it, and with it what it asks before it has found the
+        server again. So a question that was not answered is asked once more.
+
+        Raises:
+            ServiceUnreachableError: no answer in time to either.
+        """
+        try:
+            await self.status()
+        except ServiceUnreachableError:
+            await self.status()
 
     async def round_trip_s(self) -> float:
         """The shortest of five ways to the server and back [s]: a busy machine only adds to it, or loses some.

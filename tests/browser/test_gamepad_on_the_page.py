@@ -38,6 +38,7 @@ def press(page, what):
     page.wait_for_function("place => !deltaq.gamepad._before[place]", arg=PLACE[what])
 
 
+@pytest.mark.nightly
 def test_a_pad_is_plugged_in_drives_the_hand_before_the_camera_and_pulled_out_is_rest(opened):
     page = opened(lambda page: page.add_init_script(PAD))
     pad = page.locator(".pad")

@@ -30,6 +30,7 @@ def without_webgl(page):
     page.add_init_script(NO_WEBGL)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [

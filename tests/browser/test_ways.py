@@ -126,6 +126,7 @@ def test_an_option_is_shown_gone_to_while_held_left_and_cancelled(opened):
     give_back(page)
 
 
+@pytest.mark.nightly
 def test_an_arm_without_a_joint_to_spare_is_offered_ways_on_which_its_hand_leaves(opened):
     page = opened()
     in_mode(page, "advisor", "fr")
@@ -141,6 +142,7 @@ def test_an_arm_without_a_joint_to_spare_is_offered_ways_on_which_its_hand_leave
     give_back(page, "fr")
 
 
+@pytest.mark.nightly
 def test_a_pose_that_is_dragged_is_shown_first_and_gone_to_when_told(opened, served_cell):
     page = opened()
     in_mode(page, "pose")

@@ -70,6 +70,7 @@ def test_the_advisor_shows_options_and_a_way(tmp_path: Path) -> None:
     assert seen.pictures == 2
 
 
+@pytest.mark.nightly
 @pytest.mark.live
 def test_a_first_motion_is_made_on_a_cell_that_the_notebook_starts_and_ends(tmp_path: Path) -> None:
     network = own_network()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import published_arms
@@ -10,6 +11,7 @@ import pytest
 
 from deltaq_experiments import advised_drive
 from deltaq_experiments.advised_starts import AdvisedStarts, main, run
+from deltaq_launch.program import run_program
 
 pytestmark = pytest.mark.long
 
@@ -39,7 +41,7 @@ def test_a_robot_of_ones_own_is_asked_about_in_its_cell(
         (["--cell", cell, "--robot", "ur"], "'ur' is not redundant"),
     ):
         with pytest.raises(SystemExit):
-            main(wrong)
+            run_program(partial(main, wrong), "deltaq_experiments.advised_starts")
         assert said in capsys.readouterr().err
 
 

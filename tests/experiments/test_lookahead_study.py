@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from deltaq_experiments.lookahead import ANSWER_TIMES, LookaheadRow, draw, main, rows
+from deltaq_launch.program import run_program
 
 pytestmark = pytest.mark.long
 
@@ -45,6 +46,9 @@ def test_what_cannot_be_measured_is_said(
     wrong: list[str], told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:
-        main(["--lookaheads", "1", "--seeds", "1", "--cycles", "1", *wrong])
+        run_program(
+            lambda: main(["--lookaheads", "1", "--seeds", "1", "--cycles", "1", *wrong]),
+            "deltaq_experiments.lookahead",
+        )
     assert ended.value.code == 2
     assert told in capsys.readouterr().err

@@ -10,6 +10,7 @@ from deltaq_experiments.bench.live import LiveRun
 from deltaq_experiments.bench.live_figures import RobotFigures, StationAges
 from deltaq_experiments.bench.quantiles import Quantiles
 from deltaq_experiments.many_cells import main, measure, summary
+from deltaq_launch.program import run_program
 
 
 def robot(rate: float | None, decided_ms: list[float]) -> RobotFigures:
@@ -75,7 +76,7 @@ def test_what_cannot_be_measured_is_said(
     wrong: list[str], told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:
-        main(["--cells", "1", *wrong])
+        run_program(lambda: main(["--cells", "1", *wrong]), "deltaq_experiments.many_cells")
     assert ended.value.code == 2
     assert told in capsys.readouterr().err
 

@@ -9,6 +9,7 @@ import yaml
 
 from deltaq_cell.check import check_cell
 from deltaq_experiments.scale import NEAREST_M, ScaleRow, main, measure, plant
+from deltaq_launch.program import run_program
 
 
 def written(folder: Path, robots: int, bodies: int) -> Path:
@@ -56,6 +57,9 @@ def test_what_cannot_be_measured_or_written_is_said(
     wrong: list[str], told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:
-        main(["--robots", "1", "--bodies", "5", "--cycles", "2", *wrong])
+        run_program(
+            lambda: main(["--robots", "1", "--bodies", "5", "--cycles", "2", *wrong]),
+            "deltaq_experiments.scale",
+        )
     assert ended.value.code == 2
     assert told in capsys.readouterr().err

@@ -482,3 +482,24 @@ async def test_a_round_trip_of_which_all_are_lost_has_no_length(
     with pytest.raises(ServiceUnreachableError):
         await running.cell.round_trip_s()
     assert len(asked) == 5
+
+
+@pytest.mark.parametrize(("lost", "is_there"), [(1, True), (2, False)])
+async def test_one_question_that_a_stalled_machine_loses_does_not_make_the_server_gone(
+    running: Running, monkeypatch: pytest.MonkeyPatch, lost: int, is_there: bool
+) -> None:
+    asked, status = [], running.cell.status
+
+    async def losing() -> Any:
+        asked.append(1)
+        if len(asked) <= lost:
+            raise ServiceUnreachableError("no answer within 1 s")
+        return await status()
+
+    monkeypatch.setattr(running.cell, "status", losing)
+    if is_there:
+        await running.cell.ask_whether_there()
+    else:
+        with pytest.raises(ServiceUnreachableError):
+            await running.cell.ask_whether_there()
+    assert len(asked) == 2
