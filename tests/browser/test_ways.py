@@ -194,6 +194,7 @@ def test_a_pose_out_of_reach_or_behind_a_body_is_told_and_out_of_reach_cannot_be
     give_back(page)
 
 
+@pytest.mark.nightly
 def test_a_robot_is_taken_over_from_a_holder_outside_by_a_button_that_is_held(opened, served_cell):
     with connect(served_cell.model.description, "night shift") as outside, outside.lease("gr"):
         page = opened()

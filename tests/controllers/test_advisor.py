@@ -114,7 +114,7 @@ def test_every_method_finds_configurations_that_hold_the_hands(method: str) -> N
     assert pool.best < task.energies(DAWM.home[None])[0] - 0.015
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_one_seed_is_one_search() -> None:
     first, second = (search(problem(), np.random.default_rng(7), effort=0.3) for _ in range(2))
     np.testing.assert_array_equal(first.q, second.q)
@@ -254,7 +254,7 @@ def test_an_arm_without_a_joint_to_spare_is_offered_its_other_branches() -> None
     assert len(here.path) == 1
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_a_trade_off_is_a_front_of_the_two_criteria_and_all_of_it_can_be_reached() -> None:
     names = ("travel", "self_clearance")
     found = advised_from("dawm", DAWM.home, trade_off=names)
@@ -291,7 +291,7 @@ def test_a_path_from_elsewhere_moves_the_hands_and_is_clear(joint: int) -> None:
         assert all(EXACT.measure(q).room_m > 0 for q in path)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_a_way_round_is_found_where_the_straight_way_is_barred() -> None:
     task = problem()
     space = HandsKept(TRACKER, task.poses)

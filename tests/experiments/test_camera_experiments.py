@@ -87,7 +87,7 @@ def test_an_approach_never_reached_is_null() -> None:
     assert told.largest_rise_deg == pytest.approx(1.0)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_tracking_is_one_run_a_seed_and_draws_three_panels() -> None:
     options = Options(controller="qp", duration_s=0.6, settle_s=0.0, leader_speed_m_s=0.5)
     first, again = tracking.run(options), tracking.run(options)
@@ -410,7 +410,7 @@ def test_the_papers_own_law_zooms_as_well_as_its_latency_and_its_bodies_let_it()
     assert sum(report.limits.model_dump().values()) == 0
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_the_example_of_ones_own_controller_follows_and_is_short() -> None:
     example = Path(__file__).parents[2] / "examples" / "camera" / "own_controller.py"
     assert len(example.read_text(encoding="utf-8").splitlines()) < 60

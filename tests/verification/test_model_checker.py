@@ -53,7 +53,7 @@ def tabulated():
 
 
 def takes_long(row):
-    return int(row["states"]) > 9_000
+    return int(row["states"]) > 11_000
 
 
 @pytest.mark.long
