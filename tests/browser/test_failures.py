@@ -141,7 +141,7 @@ def test_while_the_browser_lets_a_page_sleep_in_motion_the_robot_comes_to_rest(o
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("ahead_ms", [HOUR_MS, pytest.param(-HOUR_MS, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("ahead_ms", [HOUR_MS, -HOUR_MS])
 def test_a_clock_of_the_browser_that_is_an_hour_off_makes_no_difference(opened, ahead_ms):
     def set_clock(page):
         page.add_init_script(

@@ -38,8 +38,8 @@ def without_webgl(page):
             without_a_description,
             "/scene.json could not be loaded: the console answers 500. Its log says why.",
         ),
-        pytest.param(without_three_js, "Failed to fetch", marks=pytest.mark.nightly),
-        pytest.param(without_webgl, "This browser has no WebGL 2", marks=pytest.mark.nightly),
+        pytest.param(without_three_js, "Failed to fetch"),
+        pytest.param(without_webgl, "This browser has no WebGL 2"),
     ],
 )
 def test_a_page_that_cannot_show_the_cell_says_why_and_stops_a_robot_that_moves(opened, spoil, words):

@@ -486,20 +486,27 @@ async def test_a_round_trip_of_which_all_are_lost_has_no_length(
 
 @pytest.mark.parametrize(("lost", "is_there"), [(1, True), (2, False)])
 async def test_one_question_that_a_stalled_machine_loses_does_not_make_the_server_gone(
-    running: Running, monkeypatch: pytest.MonkeyPatch, lost: int, is_there: bool
+    monkeypatch: pytest.MonkeyPatch, lost: int, is_there: bool
 ) -> None:
-    asked, status = [], running.cell.status
+    description, asked, status = small_cell(), [], Cell.status
 
-    async def losing() -> Any:
+    async def losing(cell: Cell) -> Any:
         asked.append(1)
         if len(asked) <= lost:
             raise ServiceUnreachableError("no answer within 1 s")
-        return await status()
+        answer = await status(cell)
+        await peer.turn()  # the silence ends
+        return answer
 
-    monkeypatch.setattr(running.cell, "status", losing)
-    if is_there:
-        await running.cell.ask_whether_there()
-    else:
-        with pytest.raises(ServiceUnreachableError):
-            await running.cell.ask_whether_there()
+    monkeypatch.setattr(Cell, "status", losing)
+    async with (
+        guarded_peer(description) as peer,
+        Hli(description, told(description), tool_pose),
+        connect(description.hli) as cell,
+    ):
+        if is_there:
+            assert (await anext(cell.states("fr"))).robot == "fr"
+        else:
+            with pytest.raises(ServiceUnreachableError):
+                await anext(cell.states("fr"))
     assert len(asked) == 2
