@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-
 import msgpack
 
 from deltaq_protocol import topics
@@ -13,11 +11,11 @@ from deltaq_protocol.messages import PROTOCOL_VERSION, DescribeRequest, Descript
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.wire import Wire
 
-_CONNECT_DEADLINE_S = 2.0
+_CONNECT_DEADLINE_S = 3.0
 
 
 async def described(wire: Wire, address: str) -> Description:
-    """Ask for the description; in the first milliseconds of a connection the server's keys are not known yet.
+    """Ask for the description.
 
     Args:
         wire: a connection that has just been opened.
@@ -27,19 +25,13 @@ async def described(wire: Wire, address: str) -> Description:
         ServiceUnreachableError: nobody there serves a cell.
         RefusedError: `protocol_version`, if the server speaks another version.
     """
-    loop = asyncio.get_running_loop()
-    give_up_s = loop.time() + _CONNECT_DEADLINE_S
-    while True:
-        try:
-            payload = await wire.ask(topics.DESCRIPTION, "*", DescribeRequest())
-        except ServiceUnreachableError:
-            if loop.time() >= give_up_s:
-                raise ServiceUnreachableError(
-                    f"{address} answers, but serves no cell; is it the address of an HLI (`hli` in the cell's YAML)?"
-                ) from None
-            await asyncio.sleep(0.01)
-        else:
-            return _of_our_version(payload)
+    try:
+        payload = await wire.ask(topics.DESCRIPTION, "*", DescribeRequest(), deadline_s=_CONNECT_DEADLINE_S)
+    except ServiceUnreachableError:
+        raise ServiceUnreachableError(
+            f"{address} answers, but serves no cell; is it the address of an HLI (`hli` in the cell's YAML)?"
+        ) from None
+    return _of_our_version(payload)
 
 
 def _of_our_version(payload: bytes) -> Description:

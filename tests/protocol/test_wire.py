@@ -1,0 +1,76 @@
+"""Questions over real zenoh: to somebody who comes late, who goes meanwhile, or who never comes."""
+
+import asyncio
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+import zenoh
+from small_cell import endpoint
+
+from deltaq_protocol import topics
+from deltaq_protocol.codec import pack, unpack
+from deltaq_protocol.errors import ServiceUnreachableError
+from deltaq_protocol.messages import DescribeRequest, Done
+from deltaq_protocol.session import open_session
+from deltaq_protocol.wire import Wire
+
+CELL = "cell"
+KEY = topics.STATUS.key(CELL)
+LONG_S = 600.0
+"""Longer than any test may take."""
+
+
+@pytest.fixture
+def ends() -> Iterator[tuple[Any, Any]]:
+    """Sessions of a server and of a client, linked."""
+    somewhere = endpoint()
+    server = open_session(listen=[somewhere])
+    client = open_session(connect=[somewhere], must_connect=True)
+    yield server, client
+    client.close()
+    server.close()
+
+
+async def test_a_question_waits_for_somebody_who_can_answer_it(ends: tuple[Any, Any]) -> None:
+    server, client = ends
+
+    def answer(query: zenoh.Query) -> None:
+        with query:
+            query.reply(KEY, pack(Done(what="status")))
+
+    wire = Wire(client, asyncio.get_running_loop())
+    asked = asyncio.create_task(wire.ask(topics.STATUS, CELL, DescribeRequest(), deadline_s=LONG_S))
+    await asyncio.sleep(0)
+    await asyncio.sleep(0)
+    assert not asked.done()
+    server.declare_queryable(KEY, answer)
+    assert unpack(Done, await asked).what == "status"
+
+
+async def test_a_question_that_somebody_took_with_him_is_not_asked_again(ends: tuple[Any, Any]) -> None:
+    server, client = ends
+    loop, taken = asyncio.get_running_loop(), asyncio.Event()
+    queries: list[zenoh.Query] = []
+
+    def take(query: zenoh.Query) -> None:
+        queries.append(query)
+        loop.call_soon_threadsafe(taken.set)
+
+    server.declare_queryable(KEY, take)
+    asked = asyncio.create_task(
+        Wire(client, loop).ask(topics.STATUS, CELL, DescribeRequest(), deadline_s=LONG_S)
+    )
+    await taken.wait()
+    await asyncio.to_thread(server.close)
+    with pytest.raises(ServiceUnreachableError, match="is the cell up"):
+        await asked
+    assert len(queries) == 1
+
+
+async def test_a_question_for_which_nobody_comes_ends_in_time(ends: tuple[Any, Any]) -> None:
+    _, client = ends
+    with pytest.raises(ServiceUnreachableError, match=f"no answer to {KEY} within 0.05 s"):
+        await Wire(client, asyncio.get_running_loop()).ask(
+            topics.STATUS, CELL, DescribeRequest(), deadline_s=0.05
+        )
