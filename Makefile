@@ -9,7 +9,7 @@ SHELL := /bin/bash
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
-COMPILED := compiled-gate compiled-camera
+COMPILED := compiled-gate compiled-camera compiled-modes
 DEMO_S ?= 60
 # how many mutants are judged at a time, and of which modules; of all if none is given
 JOBS ?= 1
@@ -20,7 +20,7 @@ BASE ?= python:3.11-slim-bookworm
 # Python compiles a module once and keeps that, also where the environment forbids it: tests start hundreds of processes
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help install compiled-gate compiled-camera demo test test-live test-services test-rest quick lint nightly mutation container-test wheels image docs site site-version figures constraints clean
+.PHONY: help install $(COMPILED) demo test test-started test-rest quick lint nightly mutation container-test wheels image docs site site-version figures constraints clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -42,31 +42,32 @@ $(INSTALLED): pyproject.toml constraints.txt
 	  --no-build-isolation -e '.[dev]'
 	touch $@
 
-# both do nothing where the machine code of these very sources is kept
+# they do nothing where the machine code of these very sources is kept
 compiled-gate: $(INSTALLED)
 	@$(BIN)/python -m deltaq_cell
 
 compiled-camera: $(INSTALLED)
 	@$(BIN)/python -m deltaq_controllers.camera
 
+compiled-modes: $(INSTALLED)
+	@$(BIN)/python -m deltaq_controllers.modes
+
 demo: $(INSTALLED) $(COMPILED) ## start the emulated lab cell and let the camera follow, for DEMO_S seconds
 	$(BIN)/deltaq demo --duration-s $(DEMO_S)
 
 test: $(INSTALLED) ## lint, types, rooms, tests
-	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target compiled-gate lint compiled-camera
-	@echo "single services, and beside them all that starts none; each is shown as it ends"
-	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target test-services test-rest
-	@echo "whole cells, one at a time and nothing beside them: their services come before everything else"
-	@$(MAKE) --no-print-directory test-live
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target compiled-gate compiled-modes lint compiled-camera
+	@echo "single services and then whole cells, one at a time, and in what they leave of the processors all other tests;"
+	@echo "each of the two is shown as it ends"
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target test-started test-rest
 
-test-live: $(INSTALLED) $(COMPILED)
+test-started: $(INSTALLED) $(COMPILED)
+	$(BIN)/pytest -m service
 	$(BIN)/pytest -m live
 
-test-services: $(INSTALLED) $(COMPILED)
-	$(BIN)/pytest -m service
-
+# its workers let everything else go first, see tests/conftest.py
 test-rest: $(INSTALLED) $(COMPILED)
-	nice -n 10 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not live and not service'
+	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not live and not service'
 
 # one worker more than two cores have: some of these tests wait
 quick: $(INSTALLED) $(COMPILED) lint ## lint, types, rooms, and the tests that take little time

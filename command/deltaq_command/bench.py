@@ -43,8 +43,9 @@ def _alone(cell: str, cycles: int, json: bool) -> bool:
     from deltaq_command.console import print_json
     from deltaq_command.progress import progress_bar, shown_compiled_ahead
     from deltaq_experiments.bench.measure import run
+    from deltaq_launch.prepare import Needed
 
-    with shown_compiled_ahead([]), progress_bar("measuring") as move:
+    with shown_compiled_ahead(Needed()), progress_bar("measuring") as move:
         table = run(cell, cycles, move)
     if json:
         print_json(table.model_dump(mode="json") | {"good": table.good})
@@ -93,11 +94,12 @@ def _live(options: LiveOptions, runs: int, json: bool) -> bool:
     from deltaq_command.console import console, print_json
     from deltaq_command.progress import progress_bar, shown_compiled_ahead
     from deltaq_experiments.bench.live import run_once
+    from deltaq_launch.prepare import Needed
 
     output = console(sys.stderr)
     told: list[LiveRun] = []
     length_s = options.warm_up_s + options.duration_s
-    with shown_compiled_ahead([options.follower]):
+    with shown_compiled_ahead(Needed([options.follower])):
         for number in range(1, runs + 1):
             with progress_bar(f"run {number} of {runs}") as move:
                 told.append(

@@ -48,6 +48,7 @@ def follow(
     from deltaq_cell.roles import camera_roles
     from deltaq_command.progress import shown_compiled_ahead
     from deltaq_launch.cell_connection import Where, connect
+    from deltaq_launch.prepare import Needed
 
     where = Where.of(cell, url)
     with connect(where, "deltaq follow") as running:
@@ -57,7 +58,7 @@ def follow(
     for name, point in (("--aim-offset-m", aim_offset_m), ("--focus-m", focus_m)):
         words += [] if point is None else [name, *(f"{part!r}" for part in point)]
     words += [] if duration_s is None else ["--duration-s", f"{duration_s!r}"]
-    with shown_compiled_ahead([controller]):
+    with shown_compiled_ahead(Needed([controller])):
         # imported here, since these modules search for their machine code on import
         from deltaq_controllers.camera_follower import main
     raise typer.Exit(main(words))

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from deltaq_launch.launcher import Launcher
     from deltaq_protocol.messages import RobotStatus, Status
 
-FOLLOWS = "paper"
-"""The follower's default camera controller."""
 TICK_S = 0.25
 TOLD_EVERY_S = 10.0
 SETTLED_S = 1.0
@@ -50,6 +48,7 @@ def demo(
     from deltaq_command.up import tell_of_console
     from deltaq_launch.bring_to_rest import bring_to_rest
     from deltaq_launch.launcher import Launcher
+    from deltaq_launch.prepare import needed_by
     from deltaq_launch.services import cell_services, console_is_installed, console_service, demo_controllers
 
     description = load_cell(cell)
@@ -59,7 +58,7 @@ def demo(
     output = console(sys.stderr)
     log = prefixed_log(output, [service.name for service in services])
     launcher = Launcher(services, log, partial(bring_to_rest, description, "deltaq demo"))
-    with shown_compiled_ahead([FOLLOWS]), launcher:
+    with shown_compiled_ahead(needed_by(services, description, cell)), launcher:
         launcher.start()
         launcher.say(
             f"cell {description.cell} is up; the camera follows for {duration_s:g} s, Ctrl-C ends it"

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from deltaq_launch.prepare import Needed
 
 
 @contextmanager
@@ -29,8 +33,8 @@ def progress_bar(text: str) -> Iterator[Callable[[int, int], None]]:
 
 
 @contextmanager
-def shown_compiled_ahead(controllers: Sequence[str]) -> Iterator[None]:
-    """Compile the gate and camera controllers before the block; standard error shows a line, and what is compiled now.
+def shown_compiled_ahead(needed: Needed) -> Iterator[None]:
+    """Compile what is needed before the block; standard error shows a line, and what is compiled now.
 
     Raises:
         LaunchError: if they cannot be compiled.
@@ -54,5 +58,5 @@ def shown_compiled_ahead(controllers: Sequence[str]) -> Iterator[None]:
 
     with ExitStack() as stack:
         with progress:
-            stack.enter_context(compiled_ahead(controllers, output.print, show))
+            stack.enter_context(compiled_ahead(needed, output.print, show))
         yield

@@ -82,6 +82,7 @@ def experiment(
     from deltaq_command.console import print_json
     from deltaq_command.progress import progress_bar, shown_compiled_ahead
     from deltaq_experiments.figures import draw
+    from deltaq_launch.prepare import Needed
     from deltaq_services.recorder.writer import RecordingError
 
     if name is Experiment.ATTACK:
@@ -95,7 +96,7 @@ def experiment(
         raise typer.BadParameter(f"--no-gate goes with collision; {name.value} runs through the gate")
     if record is not None and record.exists():
         raise RecordingError(f"{record} exists already; a recording is never overwritten, name another file")
-    with shown_compiled_ahead([controller]):
+    with shown_compiled_ahead(Needed([controller])):
         # imported here, since these modules search for their machine code on import
         from deltaq_experiments.options import Options
 

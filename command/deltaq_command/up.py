@@ -43,7 +43,6 @@ def up(
     ] = "text",
 ) -> None:
     """Start the services of a cell on this machine, one process each; Ctrl-C brings the robots to rest."""
-    from contextlib import nullcontext
     from functools import partial
 
     from deltaq_cell.find import find_cell
@@ -52,6 +51,7 @@ def up(
     from deltaq_command.progress import shown_compiled_ahead
     from deltaq_launch.bring_to_rest import bring_to_rest
     from deltaq_launch.launcher import Launcher
+    from deltaq_launch.prepare import needed_by
     from deltaq_launch.real import refuse_unreal
     from deltaq_launch.services import (
         Role,
@@ -91,8 +91,7 @@ def up(
     names = [service.name for service in services]
     log = json_log(services) if chosen is LogFormat.JSON else prefixed_log(console(), names)
     launcher = Launcher(services, log, partial(bring_to_rest, description, "deltaq up"))
-    has_gate = any(service.role is Role.SIM for service in services)
-    with shown_compiled_ahead([]) if has_gate else nullcontext(), launcher:
+    with shown_compiled_ahead(needed_by(services, description, cell)), launcher:
         launcher.start()
         log("deltaq", f"cell {description.cell} is up: {', '.join(service.name for service in services)}")
         if "hli" in launcher.ready:

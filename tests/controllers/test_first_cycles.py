@@ -69,6 +69,24 @@ def test_nothing_is_compiled_while_a_robot_is_leased_where_nothing_was_before(
 
 
 @pytest.mark.nightly
+def test_what_is_compiled_ahead_of_driving_by_hand_is_all_that_it_needs(tmp_path: Path) -> None:
+    package = Path(deltaq_controllers.__file__).parent
+    shutil.copytree(package, tmp_path / package.name, ignore=shutil.ignore_patterns("__pycache__"))
+
+    def compiled() -> set[Path]:
+        return set(tmp_path.rglob("*.nbc"))
+
+    paths = os.pathsep.join((str(tmp_path), os.environ.get("PYTHONPATH", "")))
+    environment = {**os.environ, "PYTHONPATH": paths}
+    subprocess.run([sys.executable, "-m", "deltaq_controllers.modes"], env=environment, check=True)
+    ahead = compiled()
+    assert ahead
+    for case in ("modes-gr", "operated-gr", "counsel-gr", "modes-dawm"):
+        assert waited(case, before=tmp_path)["late"] == {"functions": [], "modules": []}
+    assert compiled() == ahead
+
+
+@pytest.mark.nightly
 def test_nothing_is_compiled_while_an_arm_without_a_closed_form_is_leased(tmp_path: Path) -> None:
     (tmp_path / "eaik").mkdir()
     (tmp_path / "eaik" / "__init__.py").write_text("raise ImportError('not installed')\n")

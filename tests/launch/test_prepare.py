@@ -12,8 +12,12 @@ from pathlib import Path
 import pytest
 
 from deltaq_cell import machine_code
+from deltaq_cell.load import load_cell
+from deltaq_controllers.modes import __main__ as modes_compiler
 from deltaq_launch import prepare
 from deltaq_launch.errors import LaunchError
+from deltaq_launch.prepare import Needed, needed_by
+from deltaq_launch.services import Service, cell_services, console_service, demo_controllers, select
 
 ONE_LAW = """
 import sys
@@ -32,13 +36,14 @@ with told_of_compiling(lambda name: print("told", name)):
 HERE = Path(__file__).parent
 
 
-def compiler(monkeypatch: pytest.MonkeyPatch, code: str, gate: str = "") -> None:
+def compiler(monkeypatch: pytest.MonkeyPatch, code: str, gate: str = "", modes: str = "") -> None:
     monkeypatch.setattr(prepare, "GATE_COMPILER", ("-c", gate))
-    monkeypatch.setattr(prepare, "COMPILER", ("-c", code))
+    monkeypatch.setattr(prepare, "MODES_COMPILER", ("-c", modes))
+    monkeypatch.setattr(prepare, "CAMERA_COMPILER", ("-c", code))
 
 
 def ahead(told: list[str], functions: list[str], names: tuple[str, ...] = ("paper",)):  # type: ignore[no-untyped-def]
-    return prepare.compiled_ahead(names, told.append, functions.append)
+    return prepare.compiled_ahead(Needed(names), told.append, functions.append)
 
 
 def test_each_function_is_told_as_it_is_compiled_and_the_block_comes_after(
@@ -109,15 +114,95 @@ def test_what_is_complete_for_one_controller_or_folder_is_not_for_another(tmp_pa
     assert not machine_code.is_complete("", "paper", HERE)
 
 
-@pytest.mark.long
-def test_the_gate_is_compiled_before_the_controllers_and_also_where_there_are_none(
-    monkeypatch: pytest.MonkeyPatch,
+PRINTS_ITS_WORDS = "import sys; print('compiling {}', *sys.argv[1:])"
+
+
+@pytest.mark.parametrize(
+    ("needed", "expected"),
+    [
+        (Needed(), {"look"}),
+        (Needed(["paper", "qp"]), {"look", "near paper qp"}),
+        (Needed(by_hand="dawm"), {"look", "drive dawm"}),
+        (Needed(["paper"], "dawm", gate=False), {"near paper", "drive dawm"}),
+        (Needed(gate=False), set()),
+    ],
+)
+def test_what_is_needed_is_compiled_and_nothing_else(
+    monkeypatch: pytest.MonkeyPatch, needed: Needed, expected: set[str]
 ) -> None:
-    compiler(monkeypatch, "print('compiling near')", gate="print('compiling look')")
-    for names, expected in (((), ["look"]), (("paper",), ["look", "near"])):
-        functions: list[str] = []
-        with ahead([], functions, names):
-            assert functions == expected
+    near, look, drive = map(PRINTS_ITS_WORDS.format, ("near", "look", "drive"))
+    compiler(monkeypatch, near, look, drive)
+    functions: list[str] = []
+    with prepare.compiled_ahead(needed, pytest.fail, functions.append):
+        assert set(functions) == expected
+        assert len(functions) == len(expected)
+
+
+def test_what_is_needed_is_compiled_side_by_side(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Each compiler waits until the two others have begun."""
+    meets = (
+        f"import os, sys; here = {str(tmp_path)!r}; open(os.path.join(here, '{{}}'), 'w').close()\n"
+        "while len(os.listdir(here)) < 3: pass"
+    )
+    compiler(monkeypatch, *map(meets.format, ("near", "look", "drive")))
+    with prepare.compiled_ahead(Needed(["paper"], "lab"), pytest.fail, pytest.fail):
+        pass
+
+
+def test_a_compiler_that_fails_ends_those_beside_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    compiler(monkeypatch, "print('no space left'); raise SystemExit(1)", gate="import signal; signal.pause()")
+    said = r"the camera's controllers could not be compiled:\n  no space left$"
+    with pytest.raises(LaunchError, match=said), ahead([], []):
+        pytest.fail("the block was entered")
+
+
+@pytest.mark.parametrize(
+    ("only", "controllers", "by_hand", "gate"),
+    [
+        ("hli,sim,robot-server", (), None, True),
+        ("hli,robot-server", (), None, False),
+        ("hli,sim,console", ("paper",), "lab", True),
+        ("console", ("paper",), "lab", False),
+        ("sim,follower", ("paper",), None, True),
+    ],
+)
+def test_services_need_what_they_run_and_what_a_console_starts(
+    only: str, controllers: tuple[str, ...], by_hand: str | None, gate: bool
+) -> None:
+    cell = load_cell("lab")
+    services: tuple[Service, ...] = (*cell_services(cell, "lab"), *demo_controllers(cell))
+    services = select((*services, console_service(cell, "lab", services)), only.split(","))
+    assert needed_by(services, cell, "lab") == Needed(controllers, by_hand, gate)
+
+
+def test_drivers_of_a_cell_without_cameras_follow_nobody() -> None:
+    cell = load_cell("dawm")
+    services = cell_services(cell, "dawm")
+    assert needed_by((*services, console_service(cell, "dawm", services)), cell, "dawm") == Needed((), "dawm")
+
+
+def test_modes_that_were_compiled_completely_are_not_loaded_again(
+    tmp_path: Path,
+) -> None:
+    code = (
+        "import sys; from deltaq_controllers.modes import __main__ as modes;"
+        "where = sys.argv[1]; modes.folder = lambda _: where; modes.compile_ahead = print; sys.argv[1:] = ['lab'];"
+        "print(modes.main(), modes.main(), sorted({'numba', 'pinocchio'} & set(sys.modules)))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True, timeout=300
+    )
+    assert done.stdout == "lab\n0 0 []\n"
+
+
+def test_a_cell_that_does_not_exist_has_no_modes_to_compile(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.argv", ["modes", "nowhere.yaml"])
+    with pytest.raises(SystemExit) as ended:
+        modes_compiler.main()
+    assert ended.value.code == 2
+    assert "nowhere.yaml" in capsys.readouterr().err
 
 
 def test_a_gate_that_cannot_be_compiled_ends_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -164,7 +249,7 @@ def test_an_interrupt_ends_the_compiler_too() -> None:
         "def begun(pid):\n"
         "    print(pid, flush=True)\n"
         "    os.kill(os.getpid(), signal.SIGINT)\n"
-        "with prepare.compiled_ahead(['paper'], print, begun): pass\n"
+        "with prepare.compiled_ahead(prepare.Needed(['paper']), print, begun): pass\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=300

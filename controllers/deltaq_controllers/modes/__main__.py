@@ -1,0 +1,72 @@
+"""Compile what driving by hand needs, so that no first lease has to: `python -m deltaq_controllers.modes [CELL]`.
+
+Prints a line for each function that it compiles, and does nothing if all of them are stored from an earlier run.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from deltaq_cell.identity import content_identity
+from deltaq_cell.load import load_cell
+from deltaq_cell.machine_code import folder, is_complete, mark_complete
+from deltaq_protocol.errors import DeltaqError
+
+_PACKAGE = Path(__file__).parents[1]
+
+
+def main() -> int:
+    """Drive every robot of the cell once in every mode, on its model alone, which compiles what that needs."""
+    parser = argparse.ArgumentParser(prog="python -m deltaq_controllers.modes", description=__doc__)
+    parser.add_argument(
+        "cell", nargs="?", default="lab", metavar="CELL", help="name or YAML file of the cell (default: lab)"
+    )
+    cell: str = parser.parse_args().cell
+    try:
+        # which functions a robot needs depends on its arms
+        name = f"modes-{content_identity(load_cell(cell)).content}"
+        where = folder(_PACKAGE)
+        if not is_complete(where, name, _PACKAGE):
+            compile_ahead(cell)
+            mark_complete(where, name, _PACKAGE)
+    except DeltaqError as error:
+        parser.exit(2, f"error: {error}\n")
+    return 0
+
+
+def compile_ahead(cell: str) -> None:
+    """Drive every robot of the cell, on its model alone."""
+    # heavy packages are imported only if something is left to do
+    from deltaq_cell.cell_model import CellModel
+    from deltaq_cell.compiled import told_of_compiling
+    from deltaq_cell.robot import RobotModel
+    from deltaq_controllers.advisor.synchronous import SynchronousAdvisor
+    from deltaq_controllers.modes.advisor import AdvisorMode, tracker_of
+    from deltaq_controllers.modes.motion import ModeName
+    from deltaq_controllers.modes.practice import practise
+    from deltaq_controllers.modes.teleoperator import MODES, Teleoperator
+    from deltaq_controllers.surroundings.surroundings import RobotSurroundings
+
+    model = CellModel.load(cell)
+    cycle_s = model.description.cycle_s
+
+    def advisor_mode(robot: RobotModel) -> AdvisorMode:
+        tracker_of(robot, hands_may_leave=True)
+        return AdvisorMode(robot, cycle_s, SynchronousAdvisor(model, robot.name))
+
+    modes = {**MODES, ModeName.ADVISOR: advisor_mode}
+    with told_of_compiling(_tell):
+        for name, robot in model.robots.items():
+            around = RobotSurroundings(model, name)
+            teleoperator = Teleoperator(robot, cycle_s, modes=modes, surroundings=around)
+            teleoperator.make_modes()
+            practise(teleoperator)
+
+
+def _tell(function: str) -> None:
+    print(f"compiling {function}", flush=True)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
