@@ -20,7 +20,7 @@ BASE ?= python:3.11-slim-bookworm
 # Python compiles a module once and keeps that, also where the environment forbids it: tests start hundreds of processes
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help install $(COMPILED) demo test test-started test-rest quick lint nightly mutation container-test wheels image docs site site-version figures constraints clean
+.PHONY: help install $(COMPILED) demo test test-live test-services test-rest quick lint nightly mutation container-test wheels image docs site site-version figures constraints clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -57,13 +57,16 @@ demo: $(INSTALLED) $(COMPILED) ## start the emulated lab cell and let the camera
 
 test: $(INSTALLED) ## lint, types, rooms, tests
 	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target compiled-gate compiled-modes lint compiled-camera
-	@echo "single services and then whole cells, one at a time, and in what they leave of the processors all other tests;"
-	@echo "each of the two is shown as it ends"
-	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target test-started test-rest
+	@echo "single services, and in what they leave of the processors all that starts none; each is shown as it ends"
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target test-services test-rest
+	@echo "whole cells, one at a time and nothing beside them: their services come before everything else"
+	@$(MAKE) --no-print-directory test-live
 
-test-started: $(INSTALLED) $(COMPILED)
-	$(BIN)/pytest -m service
+test-live: $(INSTALLED) $(COMPILED)
 	$(BIN)/pytest -m live
+
+test-services: $(INSTALLED) $(COMPILED)
+	$(BIN)/pytest -m service
 
 # its workers let everything else go first, see tests/conftest.py
 test-rest: $(INSTALLED) $(COMPILED)

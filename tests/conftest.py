@@ -59,7 +59,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 
 def pytest_configure(config):
-    """Where several processes share the tests, let all else on the machine go first: a cell may be tested beside them.
+    """Where several processes share the tests, let all else on the machine go first: services are tested beside them.
 
     Linux shares a processor between sessions before it looks at the niceness of what is in them, so each of these
     processes has a session of its own, with a niceness of its own.

@@ -19,6 +19,7 @@ from deltaq_cell.open_realm import (
 )
 from deltaq_cell.placed_problems import FieldPath, PlacedProblems
 from deltaq_cell.problems import Problem
+from deltaq_protocol.endpoint import Endpoint
 
 KRC_CYCLES_S = {"krc2": (0.012,), "krc4": (0.004, 0.012)}
 """Sample times of RSI by generation of the KRC."""
@@ -59,13 +60,13 @@ class DescriptionCheck:
         taken: dict[int, str] = {}
         of_rsi: set[FieldPath] = set()
         listeners: list[tuple[FieldPath, int]] = [
-            (("hli",), _port(self._cell.hli)),
-            (("sim",), _port(self._cell.sim)),
+            (("hli",), Endpoint.parse(self._cell.hli).port),
+            (("sim",), Endpoint.parse(self._cell.sim).port),
             (("tcp_port",), self._cell.tcp_port),
             (("console_port",), self._cell.console_port),
         ]
         for name, robot in self._cell.robots.items():
-            listeners.append((("robots", name, "server"), _port(robot.server)))
+            listeners.append((("robots", name, "server"), Endpoint.parse(robot.server).port))
             if isinstance(robot.driver, RsiDescription):
                 rsi: FieldPath = ("robots", name, "driver", "port")
                 of_rsi.add(rsi)
@@ -73,9 +74,7 @@ class DescriptionCheck:
                 if robot.driver.control_port is not None:
                     listeners.append((("robots", name, "driver", "control_port"), robot.driver.control_port))
         for field, port in listeners:
-            if not 1 <= port <= 65535:
-                yield self._at(field, f"port {port} does not exist; take one of 1 to 65535", port, 65535)
-            elif port in taken:
+            if port in taken:
                 yield self._at(field, f"port {port} is that of {taken[port]} already; take another", port)
             else:
                 taken[port] = ".".join(str(part) for part in field)
@@ -154,8 +153,3 @@ class DescriptionCheck:
         for finding in found:
             field = ("robots", name, "driver", *finding.field)
             yield self._at(field, str(finding), finding.value, finding.bound, severity=finding.severity)
-
-
-def _port(endpoint: str) -> int:
-    """Its port, also one that does not exist, which `Endpoint` refuses: the problem names it and its bound."""
-    return int(endpoint.rsplit(":", 1)[1])
