@@ -57,7 +57,7 @@ demo: $(INSTALLED) $(COMPILED) ## start the emulated lab cell and let the camera
 
 test: $(INSTALLED) ## lint, types, rooms, tests
 	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target compiled-gate compiled-modes lint compiled-camera
-	@echo "single services, and in what they leave of the processors all that starts none; each is shown as it ends"
+	@echo "single services, and beside them all that starts none; each is shown as it ends"
 	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target test-services test-rest
 	@echo "whole cells, one at a time and nothing beside them: their services come before everything else"
 	@$(MAKE) --no-print-directory test-live
@@ -68,9 +68,8 @@ test-live: $(INSTALLED) $(COMPILED)
 test-services: $(INSTALLED) $(COMPILED)
 	$(BIN)/pytest -m service
 
-# its workers let everything else go first, see tests/conftest.py
 test-rest: $(INSTALLED) $(COMPILED)
-	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not live and not service'
+	nice -n 10 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not live and not service'
 
 # one worker more than two cores have: some of these tests wait
 quick: $(INSTALLED) $(COMPILED) lint ## lint, types, rooms, and the tests that take little time

@@ -1,10 +1,8 @@
 """What every run of the tests shares: the examples that are drawn, what is left out, and the order."""
 
-import contextlib
 import os
 import signal
 from collections import Counter
-from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -56,24 +54,6 @@ ONLY_IF_ASKED = ("nightly", "container")
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # whoever starts the tests in the background ignores Ctrl-C for them, and for the processes that must obey it here
     signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-def pytest_configure(config):
-    """Where several processes share the tests, let all else on the machine go first: services are tested beside them.
-
-    Linux shares a processor between sessions before it looks at the niceness of what is in them, so each of these
-    processes has a session of its own, with a niceness of its own.
-    """
-    if not hasattr(config, "workerinput"):
-        return
-    os.setsid()
-    os.nice(LESS_URGENT)
-    with contextlib.suppress(OSError):  # a system that does not share so
-        Path("/proc/self/autogroup").write_text(str(LESS_URGENT))
-
-
-LESS_URGENT = 10
-"""A tenth of a processor where another process wants all of it: enough for links that live for a second."""
 
 
 def pytest_ignore_collect(collection_path, config):

@@ -188,7 +188,8 @@ class HandsOff(Message):
 class DriverReport(Message):
     """How the driver is doing, some times a second while it changes.
 
-    `limit` says what limits the operator now, `doing` what the mode is about, both in words. `longest_cycle_s` is the
+    `limit` says what limits the operator now, `doing` what the mode is about, both in words. `goes_through` is the
+    fraction of the wish that mode and gate let through, in tenths; 1 where nothing limits. `longest_cycle_s` is the
     longest time from a state to its verdict since the report before [s]. `search` is there in modes that offer ways.
     `grip` is the one that was chosen; with an object `hands_off` is there once it is held. `master` leads a hand when
     wishes say so, `master_scale` times its way; it is empty where none was chosen.
@@ -203,6 +204,7 @@ class DriverReport(Message):
     master: str = ""
     master_scale: FiniteFloat = 1.0
     limit: str = ""
+    goes_through: Fraction = 1.0
     doing: str = ""
     distance_m: FiniteFloat | None = None
     longest_cycle_s: FiniteFloat | None = None

@@ -332,9 +332,10 @@ function plugged(t, { mode = "coupled", isByJoints = false, held = [] } = {}) {
   globalThis.document.hasFocus = () => true;
   const done = (what) => (...values) => world.done.push([what, ...values]);
   world.holds = true;
+  world.goesThrough = 1;
   const driven = { mode, isByJoints, share: 0.3, joint: 0, length: () => 3, scenery: { outputs: ["gripper", "tool"], joints: [] }, changeShare: done("speed"), chooseJoint: done("joint") };
   const actions = Object.fromEntries(["mode", "frame", "robot", "hand", "picture", "stop", "output", "distance"].map((what) => [what, done(what)]));
-  world.gamepad = new Gamepad(layout, driven, { hold: (...values) => (done("hold")(...values), world.holds), release: done("rest") }, actions, () => {});
+  world.gamepad = new Gamepad(layout, driven, { hold: (...values) => (done("hold")(...values), world.holds), release: done("rest") }, actions, () => {}, () => world.goesThrough);
   world.press = (...what) => {
     for (const held of [what, []]) {
       world.pad = pad(held);
@@ -390,6 +391,22 @@ test("a stick that is held while nothing can be driven, or a pad that is pulled 
   world.stand([], ahead);
   assert.deepEqual(world.stand(["move"], ahead), ["hold"]);
   assert.deepEqual(world.stand(null), ["rest"]);
+});
+
+test("a pad that can rumbles while a limit holds the hand back, the more the less goes through, and only then", (t) => {
+  const world = plugged(t);
+  const felt = [];
+  const stands = (...held) => {
+    world.pad = { ...pad(held, [0, -1, 0, 0]), vibrationActuator: { playEffect: (kind, { strongMagnitude }) => (felt.push([kind, strongMagnitude]), Promise.reject(new Error("not this one"))) } };
+    mock.timers.tick(30);
+    return felt.splice(0);
+  };
+  stands();
+  assert.deepEqual(stands("move"), [], "all of it goes through");
+  world.goesThrough = 0.25;
+  assert.deepEqual(stands("move"), [["dual-rumble", 0.75]]);
+  assert.deepEqual(stands(), [], "nothing is wished for");
+  assert.deepEqual(world.stand(["move"], [0, -1, 0, 0]).includes("hold"), true, "a pad that cannot moves the robot all the same");
 });
 
 test("a saved event cannot become a formula of a spreadsheet", () => {

@@ -108,6 +108,26 @@ def test_a_wish_moves_that_joint_and_ends_when_it_is_not_renewed(bench):
     assert (bench.q == stands).all()
 
 
+def test_how_much_of_a_wish_goes_through_is_told_while_a_limit_binds_and_then_no_longer(bench):
+    def goes_through():
+        return bench.pilot.report(DriverStage.LEASED).goes_through
+
+    bench.q[5] = bench.robot.upper[5] - 0.05
+    bench.cycles(2)
+    assert goes_through() == 1.0
+    told = []
+    for _ in range(20):
+        bench.wishes(joints=JOG)
+        bench.cycles(5)
+        told.append(goes_through())
+    assert told == sorted(told, reverse=True)
+    assert (told[0], told[-1]) == (1.0, 0.0)
+    assert all(round(10.0 * share, 9).is_integer() for share in told), "in tenths"
+    assert bench.pilot.report(DriverStage.LEASED).limit
+    bench.cycles(40)
+    assert goes_through() == 1.0, "nothing is wished for"
+
+
 def test_a_renewed_wish_goes_on(bench):
     bench.cycles(2)
     for _ in range(10):

@@ -16,6 +16,7 @@ from deltaq_protocol.guarded import Health
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.session import open_session, subscribe_newest
 from deltaq_services.guarded_key import guarded_seal
+from deltaq_services.robot_server.probe_trial import PROBE_RAD
 
 pytestmark = pytest.mark.live
 
@@ -61,7 +62,9 @@ def test_a_krc_in_relative_mode_is_never_driven(tmp_path):
         away = np.degrees(np.abs(setpoints - stack.robot.home).max())
         print(f"the arm moved {away:.4f} deg in all")
         assert 0.02 < away < 0.1
-        np.testing.assert_allclose(setpoints[-1], stack.robot.home, atol=1e-6)
+        # where a reply was missed this KRC adds the one before once more, or none: so much is not undone
+        off = 1e-6 + PROBE_RAD * stack.unanswered()
+        np.testing.assert_allclose(setpoints[-1], stack.robot.home, atol=off)
 
 
 def test_a_krc_that_turns_relative_in_motion_is_told_to_stop_and_comes_to_rest(tmp_path):

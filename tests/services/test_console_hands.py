@@ -121,9 +121,10 @@ def test_a_grip_reaches_the_driver_and_how_the_object_is_held_is_told(dawm):
     assert desk.send("mode", robot="dawm", mode="decoupled").outcome is ASKED
     assert bench.driver_requests("dawm")[-1].grip is None, "who says nothing lets nothing go"
     off = driving.HandsOff(distance_m=0.0004, angle_rad=0.001)
-    reports(bench, grip="object", hands_off=off)
+    assert desk.status().robots["dawm"].goes_through == 1.0, "nothing was told"
+    reports(bench, grip="object", hands_off=off, goes_through=0.3)
     told = desk.status().robots["dawm"]
-    assert (told.grip, told.hands_off) == ("object", off)
+    assert (told.grip, told.hands_off, told.goes_through) == ("object", off, 0.3)
 
 
 def test_a_hand_of_several_is_jogged_by_its_name(dawm):

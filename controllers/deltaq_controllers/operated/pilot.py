@@ -296,6 +296,7 @@ class Pilot:
             mode=self._mode,
             frame=self._teleoperator.frame.value,
             limit=self._limit,
+            goes_through=self._goes_through,
             grip=self.wishes.grip.value,
             hands_off=self.wishes.hands_off(self._q),
             master="" if led is None else led.name,
@@ -305,6 +306,13 @@ class Pilot:
             longest_cycle_s=longest_cycle_s,
             search=None if offers is None else search_of(offers),
         )
+
+    @property
+    def _goes_through(self) -> float:
+        """The fraction of the wish that mode and gate let through, in tenths: they change seldom, and are told then."""
+        if self._active is None or self.is_following or not self._limit:
+            return 1.0
+        return round(self._active.reflection.share, 1)
 
     def ways(self) -> DriverWays:
         """The ways that are offered now; equal to those before where nothing has changed."""

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat
 
-from deltaq_protocol.driving import Axes, DrivingMode, HandGrip, HandsOff, Search, Way
+from deltaq_protocol.driving import Axes, DrivingMode, Fraction, HandGrip, HandsOff, Search, Way
 from deltaq_protocol.messages import Count, Message, Outcome, Phase, Sight
 from deltaq_protocol.reasons import ReasonCode
 
@@ -92,6 +92,7 @@ class Bound(Message):
 class RobotStatusView(Message):
     """One robot's status for a browser. `driving` is the status of its driver in words.
 
+    `goes_through` is the fraction of the wish that mode and gate let through, in tenths; 1 where nothing limits.
     `grip` is the one that was chosen; with an object, `hands_off` is there once the hands hold it. `master` leads a
     hand when a wish says so, `master_scale` times its way; it is empty where none was chosen. `search` is there in
     modes that offer ways; the ways themselves come in `WaysView`. `looks_at` is the target of its camera in words, and
@@ -110,6 +111,7 @@ class RobotStatusView(Message):
     master: str = ""
     master_scale: FiniteFloat = 1.0
     driving: str = ""
+    goes_through: Fraction = 1.0
     view_distance_m: FiniteFloat | None = None
     sight: Sight | None = None
     looks_at: str = ""

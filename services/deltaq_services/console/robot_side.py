@@ -241,6 +241,7 @@ class RobotSide:
             master="" if report is None else report.master,
             master_scale=1.0 if report is None else report.master_scale,
             driving=said,
+            goes_through=1.0 if report is None else report.goes_through,
             view_distance_m=self._view_distance_m(),
             sight=None if state is None else state.sight,
             targets=() if state is None else _asked_for(state.view),

@@ -95,7 +95,7 @@ export async function showCell(holder, live, stop, look) {
   driveByKeys(driven, wish, actions);
   const drawing = padDrawing(scene.pad, driven);
   part("driving").append(drawing.box);
-  const gamepad = new Gamepad(scene.pad, driven, wish, actions, drawing.show);
+  const gamepad = new Gamepad(scene.pad, driven, wish, actions, drawing.show, () => live.robot(driven.name)?.goes_through ?? 1);
 
   // for tests and the curious: what is behind the page
   Object.assign(window.deltaq, { scene, stage, views, wish, driven, picture, overlays, motion, gamepad, player, ways, wayPicture, gizmo: pose.gizmo });

@@ -161,7 +161,10 @@ export function drivingPanel(context) {
   const zoom = el("div", { class: "field" }, el("label", {}, "View distance"), distanceText, distance);
   const speed = el("div", { class: "field" }, el("label", {}, "Speed"), shareText, share);
   const modeBox = el("section", {}, el("h2", {}, "Mode"), modes, frames, doing);
-  const moveBox = el("section", {}, el("h2", {}, "Move"), speed, pad);
+  const through = el("progress", { max: 1, value: 1, "aria-label": "Goes through" });
+  const throughText = el("output", {}, "all");
+  const throughBox = el("div", { class: "field through" }, el("label", {}, "Goes through"), throughText, through);
+  const moveBox = el("section", {}, el("h2", {}, "Move"), speed, throughBox, pad);
   const signals = el("section", { class: "signals" });
   const advisor = advisorCards(context, ask);
   const pose = posePanel(context, ask);
@@ -228,6 +231,8 @@ export function drivingPanel(context) {
     share.value = Math.round(100 * driven.share);
     say(shareText, `${share.value} %`);
     moveBox.hidden = !mine || !driven.isJogged;
+    through.value = robot.goes_through;
+    say(throughText, robot.goes_through === 1 ? "all" : `${Math.round(100 * robot.goes_through)} %`);
     showSignals(robot, locked || !mine);
   }
 

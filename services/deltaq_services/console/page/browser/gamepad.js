@@ -8,6 +8,8 @@ const PUSHED = 0.5; // of a stick's way, from which on it goes along a way
 const PULLED = 0.5; // of a trigger's way
 const OPTIONS = 9;
 const SPEED_STEP = 0.1; // of full speed
+const LOOK_MS = 30;
+const FELT_MS = 100; // longer than to the next look, and over soon after the last
 
 /** What a stick's way means: at rest in the dead zone, fine near it, 1 at the end. */
 export function shaped(way) {
@@ -40,13 +42,21 @@ export function wishOf(pad, layout, driven, option) {
   return { [from]: -ly * full, [from + 1]: -lx * full, [from + 2]: -ry * full };
 }
 
+/** Rumble for a moment, where the pad can: the less goes through, the more strongly. */
+function feel(pad, strength) {
+  if (!(strength > 0)) return;
+  const felt = { duration: FELT_MS, strongMagnitude: strength, weakMagnitude: strength };
+  pad.vibrationActuator?.playEffect("dual-rumble", felt).catch(() => {}); // a pad that cannot do this one
+}
+
 export class Gamepad {
   /**
    * @param layout of scene.json: which button does what.
    * @param actions what buttons do, each a function: mode, frame, robot, hand, picture, output(index, isOn), distance(change), stop.
+   * @param goesThrough () => the fraction of the wish that is let through, for the hand to feel.
    */
-  constructor(layout, driven, wish, actions, show) {
-    Object.assign(this, { layout, driven, wish, actions, show, option: 1, output: 0, index: null });
+  constructor(layout, driven, wish, actions, show, goesThrough) {
+    Object.assign(this, { layout, driven, wish, actions, show, goesThrough, option: 1, output: 0, index: null });
     this._before = null;
     window.addEventListener("gamepadconnected", ({ gamepad }) => this._plugged(gamepad));
     window.addEventListener("gamepaddisconnected", ({ gamepad }) => gamepad.index === this.index && this._unplugged());
@@ -57,7 +67,7 @@ export class Gamepad {
     if (this.index !== null) return;
     this.index = pad.index;
     this._forget();
-    this._timer = setInterval(() => this._look(), 30);
+    this._timer = setInterval(() => this._look(), LOOK_MS);
   }
 
   /** What is held now was not meant for the robot: it has to be pressed anew. */
@@ -89,6 +99,7 @@ export class Gamepad {
     if (!wish) this._armed = true;
     if (wish && this._armed && Object.values(wish).some((speed) => speed)) this._armed = this.wish.hold("gamepad", wish); // refused: to be pressed anew
     else this.wish.release("gamepad");
+    if (wish && this._armed) feel(pad, 1 - this.goesThrough());
     this._press(pad);
   }
 
