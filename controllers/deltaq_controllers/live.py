@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from deltaq_cell.cell_model import CellModel, robots_told
+from deltaq_cell.description import CellDescription
 from deltaq_cell.load import parse_cell
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.answers import Answers, lease
@@ -35,14 +36,21 @@ REFUSED, USAGE, UNREACHABLE = 1, 2, 3
 
 def robot_models(description: Description) -> dict[str, RobotModel]:
     """Models of all robots of a cell, from its HLI's description; no file is needed."""
-    cell = parse_cell(description.yaml, f"description of cell {description.cell}")
-    return robots_told(cell, description.urdf, description.hulls)
+    return _robots(_parsed(description), description)
 
 
 def cell_model(description: Description) -> CellModel:
     """Model of a cell, structure included, from its HLI's description."""
-    cell = parse_cell(description.yaml, f"description of cell {description.cell}")
-    return CellModel.of(cell, robot_models(description), description.yaml)
+    cell = _parsed(description)
+    return CellModel.of(cell, _robots(cell, description), description.yaml)
+
+
+def _parsed(description: Description) -> CellDescription:
+    return parse_cell(description.yaml, f"description of cell {description.cell}")
+
+
+def _robots(cell: CellDescription, description: Description) -> dict[str, RobotModel]:
+    return robots_told(cell, description.urdf, description.hulls)
 
 
 def where_others_are(cell: Cell, robot: str) -> Callable[[], dict[str, Array]]:
