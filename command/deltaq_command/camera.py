@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deltaq_command.options import CellOption, JsonOption, TokenOption, UrlOption
+from deltaq_controllers.camera import FOLLOWS
 
 if TYPE_CHECKING:
     from deltaq_protocol.messages import ViewReply, ViewTarget, ViewWish
@@ -36,7 +37,7 @@ def follow(
         typer.Option(
             help="paper, predictive, qp, clear-view, escape, or your own as package.module:function."
         ),
-    ] = "paper",
+    ] = FOLLOWS,
     duration_s: Annotated[
         float | None, typer.Option(min=0.1, help="Duration; until Ctrl-C if not given.")
     ] = None,

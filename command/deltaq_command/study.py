@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from deltaq_command.options import CellOption, JsonOption
+from deltaq_controllers.camera import FOLLOWS
 from deltaq_launch.exit_status import BAD
 
 
@@ -31,7 +32,7 @@ CONTROLLERS = (
 def experiment(
     name: Annotated[Experiment, typer.Argument(help="Experiment to run.")],
     cell: CellOption = "lab",
-    controller: Annotated[str, typer.Option(help=f"Who moves the camera: {CONTROLLERS}")] = "paper",
+    controller: Annotated[str, typer.Option(help=f"Who moves the camera: {CONTROLLERS}")] = FOLLOWS,
     robot: Annotated[
         str | None, typer.Option(help="Robot with the camera (default: the cell's first).", metavar="ROBOT")
     ] = None,

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from deltaq_cell.roles import camera_roles
+from deltaq_controllers.camera import FOLLOWS
 from deltaq_controllers.camera.aim import TOOL
 from deltaq_controllers.camera.controllers import NAMES, camera_controller_named
 from deltaq_controllers.camera.in_use import CameraInUse
@@ -166,7 +167,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--leader", help="robot to follow (default: the first other one)")
     parser.add_argument(
         "--controller",
-        default="paper",
+        default=FOLLOWS,
         help=f"{', '.join(NAMES)}, or package.module:function of one's own (default: %(default)s)",
     )
     parser.add_argument("--distance-m", type=float, default=1.25, help="view distance (default: %(default)s)")

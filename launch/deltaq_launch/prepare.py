@@ -18,6 +18,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from deltaq_cell.description import CellDescription
+from deltaq_controllers.camera import FOLLOWS
 from deltaq_launch.child_process import start_with_lines
 from deltaq_launch.errors import LaunchError
 from deltaq_launch.services import Role, Service
@@ -29,10 +30,6 @@ MODES_COMPILER = ("-m", "deltaq_controllers.modes")
 COMPILES = "compiling "
 """Beginning of a line about a function that is being compiled."""
 NOWHERE = "no folder for machine code can be written to: every start recompiles; XDG_CACHE_HOME may name one"
-
-
-FOLLOWS = "paper"
-"""Name of the camera controller of the demonstration, and of drivers that operators have follow."""
 
 
 @dataclass(frozen=True)

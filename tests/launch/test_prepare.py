@@ -42,6 +42,12 @@ def compiler(monkeypatch: pytest.MonkeyPatch, code: str, gate: str = "", modes: 
     monkeypatch.setattr(prepare, "CAMERA_COMPILER", ("-c", code))
 
 
+def printed(code: str, *arguments: str) -> str:
+    """What a program of its own prints."""
+    command = [sys.executable, "-c", code, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=300).stdout
+
+
 def ahead(told: list[str], functions: list[str], names: tuple[str, ...] = ("paper",)):  # type: ignore[no-untyped-def]
     return prepare.compiled_ahead(Needed(names), told.append, functions.append)
 
@@ -98,10 +104,7 @@ def test_what_was_compiled_completely_is_neither_loaded_nor_looked_at_again(tmp_
         "sys.argv = ['camera', 'paper']; status = camera.main();"
         "print(status, sorted({'numba', 'pinocchio', 'numpy'} & set(sys.modules)))"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True, timeout=300
-    )
-    assert done.stdout == "0 []\n"
+    assert printed(code, str(tmp_path)) == "0 []\n"
 
 
 def test_what_is_complete_for_one_controller_or_folder_is_not_for_another(tmp_path: Path) -> None:
@@ -181,18 +184,13 @@ def test_drivers_of_a_cell_without_cameras_follow_nobody() -> None:
     assert needed_by((*services, console_service(cell, "dawm", services)), cell, "dawm") == Needed((), "dawm")
 
 
-def test_modes_that_were_compiled_completely_are_not_loaded_again(
-    tmp_path: Path,
-) -> None:
+def test_modes_that_were_compiled_completely_are_not_loaded_again(tmp_path: Path) -> None:
     code = (
         "import sys; from deltaq_controllers.modes import __main__ as modes;"
         "where = sys.argv[1]; modes.folder = lambda _: where; modes.compile_ahead = print; sys.argv[1:] = ['lab'];"
         "print(modes.main(), modes.main(), sorted({'numba', 'pinocchio'} & set(sys.modules)))"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True, timeout=300
-    )
-    assert done.stdout == "lab\n0 0 []\n"
+    assert printed(code, str(tmp_path)) == "lab\n0 0 []\n"
 
 
 def test_a_cell_that_does_not_exist_has_no_modes_to_compile(
@@ -218,10 +216,7 @@ def test_a_gate_that_was_compiled_is_neither_loaded_nor_looked_at_again(tmp_path
         "where = sys.argv[1]; gate.folder = lambda _: where; gate.mark_complete(where, 'gate', gate._PACKAGE);"
         "print(gate.main(), sorted({'numba', 'pinocchio', 'numpy'} & set(sys.modules)))"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True, timeout=300
-    )
-    assert done.stdout == "0 []\n"
+    assert printed(code, str(tmp_path)) == "0 []\n"
 
 
 @pytest.mark.long

@@ -1,4 +1,4 @@
-"""Questions over real zenoh: to somebody who comes late, who goes meanwhile, or who never comes."""
+"""Questions over real zenoh: to somebody who comes late, who does not answer, or who never comes."""
 
 import asyncio
 from collections.abc import Iterator
@@ -17,8 +17,8 @@ from deltaq_protocol.wire import Wire
 
 CELL = "cell"
 KEY = topics.STATUS.key(CELL)
-LONG_S = 600.0
-"""Longer than any test may take."""
+LONG_S = 60.0
+"""Longer than anything here takes, however busy the machine is."""
 
 
 @pytest.fixture
@@ -48,24 +48,21 @@ async def test_a_question_waits_for_somebody_who_can_answer_it(ends: tuple[Any, 
     assert unpack(Done, await asked).what == "status"
 
 
-async def test_a_question_that_somebody_took_with_him_is_not_asked_again(ends: tuple[Any, Any]) -> None:
+async def test_a_question_that_somebody_took_and_did_not_answer_is_not_asked_again(
+    ends: tuple[Any, Any],
+) -> None:
     server, client = ends
-    loop, taken = asyncio.get_running_loop(), asyncio.Event()
-    queries: list[zenoh.Query] = []
+    taken: list[str] = []
 
     def take(query: zenoh.Query) -> None:
-        queries.append(query)
-        loop.call_soon_threadsafe(taken.set)
+        with query:
+            taken.append(str(query.key_expr))
 
     server.declare_queryable(KEY, take)
-    asked = asyncio.create_task(
-        Wire(client, loop).ask(topics.STATUS, CELL, DescribeRequest(), deadline_s=LONG_S)
-    )
-    await taken.wait()
-    await asyncio.to_thread(server.close)
+    wire = Wire(client, asyncio.get_running_loop())
     with pytest.raises(ServiceUnreachableError, match="is the cell up"):
-        await asked
-    assert len(queries) == 1
+        await wire.ask(topics.STATUS, CELL, DescribeRequest(), deadline_s=LONG_S)
+    assert taken == [KEY]
 
 
 async def test_a_question_for_which_nobody_comes_ends_in_time(ends: tuple[Any, Any]) -> None:

@@ -17,6 +17,7 @@ from pathlib import Path
 from deltaq_cell.machine_code import folder, is_complete
 from deltaq_cell.robot import RobotModel
 from deltaq_cell.roles import camera_roles
+from deltaq_controllers.camera import FOLLOWS
 from deltaq_controllers.camera.controllers import camera_controller_named
 from deltaq_controllers.camera.in_use import CameraInUse
 from deltaq_controllers.camera.outlook import Outlook
@@ -45,8 +46,6 @@ from deltaq_protocol.driving import DriverMessage, DriverReport, DriverStage, Dr
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
 
 _PACKAGE = Path(__file__).parents[1]
-FOLLOWS = "paper"
-"""The camera's law."""
 _PATIENT = 10
 """Niceness of the compiler: the cell goes first."""
 VIEW_M = 1.25
