@@ -35,10 +35,12 @@ class Socket {
   }
 }
 
+const hello = (more = {}) => ({ type: "hello", console: "one", client: "desk", operator: true, token_needed: false, server_ms: 0, ...more });
+
 function connected(t) {
   mock.timers.enable({ apis: ["setInterval", "setTimeout", "Date"], now: 1_000_000 });
   const connection = new Connection("ws://cell/live", { Socket, now: () => Date.now() }).open();
-  Socket.last.says({ type: "hello", client: "desk", operator: true, token_needed: false, server_ms: 0 });
+  Socket.last.says(hello());
   t.after(() => {
     connection.close();
     mock.timers.reset();
@@ -91,7 +93,7 @@ test("a command on a line that is down is not sent, then or later", async (t) =>
   Socket.last.close();
   assert.equal((await connection.send("mode", { robot: "fr" })).outcome, "not_sent");
   pass(10_000);
-  Socket.last.says({ type: "hello", client: "desk", operator: true, server_ms: 0 });
+  Socket.last.says(hello());
   assert.deepEqual(Socket.last.commands("mode"), []);
 });
 
@@ -125,7 +127,6 @@ test("an answer that is only asked may be followed by done", async (t) => {
 test("STOP is repeated until it is heard, each time as a command of its own, and then no more", async (t) => {
   const { live, socket } = driving(t);
   const stop = new Stop(live, () => {});
-  mock.method(performance, "now", () => Date.now());
   stop.press();
   passWithNews(socket, 320);
   const sent = socket.commands("stop");
@@ -144,15 +145,54 @@ test("STOP is repeated until it is heard, each time as a command of its own, and
   assert.equal(stop.state, "at_rest");
 });
 
+test("a page that was loaded from another console than answers now is never up again, and says so", (t) => {
+  const { connection, live } = driving(t);
+  let replaced = 0;
+  connection.addEventListener("replaced", () => replaced++);
+  Socket.last.close();
+  pass(400);
+  Socket.last.says(hello({ console: "another" }));
+  assert.equal(replaced, 1);
+  assert.equal(live.cannotDrive("fr"), "no connection to the console");
+  pass(20_000);
+  assert.equal(connection.isUp, false);
+  assert.equal(replaced, 1, "it does not try again by itself");
+});
+
+test("a STOP that nobody has heard is repeated by the page that is loaded next, until ten seconds after it was pressed", async (t) => {
+  const kept = new Map();
+  globalThis.sessionStorage = { getItem: (name) => kept.get(name) ?? null, setItem: (name, text) => kept.set(name, text) };
+  t.after(() => delete globalThis.sessionStorage);
+  const { live, socket } = driving(t);
+  socket.close();
+  new Stop(live, () => {}).press();
+  pass(6000);
+  Socket.last.says(hello({ console: "another" }));
+  const connection = new Connection("ws://cell/live", { Socket, now: () => Date.now() }).open();
+  t.after(() => connection.close());
+  const next = new Stop(new Live(connection, SCENE), () => {});
+  assert.equal(next.state, "not_sent");
+  Socket.last.says(hello({ console: "another" }));
+  pass(200);
+  const [{ id }] = Socket.last.commands("stop");
+  Socket.last.says({ type: "ack", id, outcome: "asked", text: "" });
+  await Promise.resolve();
+  assert.equal(next.state, "asked");
+  assert.equal(new Stop(live, () => {}).pressed, false, "it was heard");
+  socket.close();
+  new Stop(live, () => {}).press();
+  pass(10_100);
+  assert.equal(new Stop(live, () => {}).pressed, false, "it is too old");
+});
+
 test("STOP without a line says that it is not sent, and is given up after ten seconds", async (t) => {
   const { connection, live, socket } = driving(t);
   const stop = new Stop(live, () => {});
-  mock.method(performance, "now", () => Date.now());
   socket.close();
   stop.press();
   assert.equal(stop.state, "not_sent");
   for (let k = 0; k < 105; k++) pass(100);
-  Socket.last.says({ type: "hello", client: "desk", operator: true, server_ms: 0 });
+  Socket.last.says(hello());
   pass(500);
   assert.equal(connection.isUp, true);
   assert.deepEqual(Socket.last.commands("stop"), []);
@@ -161,7 +201,6 @@ test("STOP without a line says that it is not sent, and is given up after ten se
 test("nine seconds without a network: nothing that was held goes on, and a STOP of that time goes out when the line is back", (t) => {
   const { connection, live, wish, socket } = driving(t);
   const stop = new Stop(live, () => {});
-  mock.method(performance, "now", () => Date.now());
   wish.hold("button", { 0: 0.2 });
   passWithNews(socket, 200);
   pass(2000); // nothing comes, and nothing closes either
@@ -171,7 +210,7 @@ test("nine seconds without a network: nothing that was held goes on, and a STOP 
   assert.equal(stop.state, "not_sent");
   pass(7000);
   assert.equal(stop.state, "not_sent");
-  Socket.last.says({ type: "hello", client: "desk", operator: true, server_ms: 0 });
+  Socket.last.says(hello());
   pass(120);
   assert.notEqual(Socket.last, socket);
   assert.ok(Socket.last.commands("stop").length >= 1);
@@ -497,7 +536,7 @@ test("a line that comes back while a recording is shown is told so", (t) => {
   live.showReplay(replay());
   Socket.last.close();
   pass(400);
-  Socket.last.says({ type: "hello", client: "desk", operator: true, server_ms: 0 });
+  Socket.last.says(hello());
   assert.deepEqual(Socket.last.commands("replay").map(({ shown }) => shown), [true]);
 });
 
@@ -544,7 +583,7 @@ test("a line that brings pictures and never a greeting is given up, and another 
   }
   assert.notEqual(Socket.last, half);
   assert.equal(connection.isUp, false);
-  Socket.last.says({ type: "hello", client: "desk", operator: true, server_ms: 0 });
+  Socket.last.says(hello());
   assert.equal(connection.isUp, true);
 });
 

@@ -85,7 +85,9 @@ def test_while_the_network_is_lost_the_robot_rests_and_afterwards_nothing_old_is
 
 
 @pytest.mark.nightly
-def test_a_stop_pressed_while_the_network_is_lost_says_so_and_goes_out_when_it_is_back(opened):
+def test_a_stop_pressed_while_the_network_is_lost_says_so_and_goes_out_when_it_is_back_even_from_another_page(
+    opened,
+):
     line = Line()
     page = opened(lambda page: page.route_web_socket("**/live**", line.route))
     line.is_cut = True
@@ -93,6 +95,9 @@ def test_a_stop_pressed_while_the_network_is_lost_says_so_and_goes_out_when_it_i
     page.keyboard.press("Escape")
     assert page.locator("[data-part=stop-title]").text_content() == "NOT SENT"
     assert "use the emergency stop" in page.locator("[data-part=stop-answer]").text_content()
+    # the page is loaded anew, as after the console was started again: nobody has heard the press yet
+    page.reload(wait_until="commit")
+    page.locator("[data-part=stop-title]", has_text="NOT SENT").wait_for()
     line.is_cut = False
     page.wait_for_function("deltaq.stop.state === 'at_rest'")
     take_control(page)

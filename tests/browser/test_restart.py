@@ -23,7 +23,7 @@ def test_a_console_that_is_killed_in_motion_leaves_the_robot_at_rest_and_the_pag
     assert "no connection" in page.evaluate("deltaq.live.cannotDrive('gr')")
     line.sent.clear()
     assert shared_stack.serve_console() == served_cell.url
-    # somebody goes on pressing: the page holds nothing for later
+    # the old page is never up again: it loads itself anew. Somebody goes on pressing: nothing is held for later
     page.wait_for_function(
         "window.deltaq?.live.connection.isUp && document.documentElement.dataset.stale === 'false'"
     )

@@ -38,6 +38,7 @@ class ConsoleCore:
         bodies: names of its bodies, as the scene lists them.
         token_needed: whether a client without the token is an observer.
         has_recordings: whether it was given a folder for recordings.
+        process: what tells this console from one that was started before it.
 
     Attributes:
         clients: connected browsers, by the number of the connection.
@@ -56,7 +57,9 @@ class ConsoleCore:
         bodies: tuple[str, ...],
         token_needed: bool,
         has_recordings: bool = False,
+        process: str = "",
     ) -> None:
+        self._process = process
         self.clients: dict[int, Client] = {}
         self.counters: Counter[str] = Counter()
         self.stop = StopProgress()
@@ -93,6 +96,7 @@ class ConsoleCore:
         self.counters["clients"] += 1
         self._log.add(now_s, "client", f"{client.name} has connected")
         hello = ConsoleHello(
+            console=self._process,
             client=client.name,
             operator=is_operator,
             token_needed=self._token_needed,

@@ -18,9 +18,11 @@ class ConsoleHello(Message):
     """First message to a browser: its name here, and what it may do.
 
     `operator` is False for one that may only look and stop; `token_needed` says that a token would change this.
+    `console` is this process's own: a page that was loaded from another one knows neither its cell nor its clients.
     """
 
     type: Literal["hello"] = "hello"
+    console: str
     client: str
     operator: bool
     token_needed: bool

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import secrets
 import time
 from collections.abc import Callable
 from functools import partial
@@ -97,7 +98,11 @@ class Console:
         self._recorder = RecorderProcess(cell_name, self._recorder_began, self._recorder_ended)
         self.scene: BrowserScene = scene_of(cell, emulated)
         self.core = ConsoleCore(
-            description, self.scene.bodies, token_needed, has_recordings=recordings is not None
+            description,
+            self.scene.bodies,
+            token_needed,
+            has_recordings=recordings is not None,
+            process=secrets.token_hex(8),
         )
         self._identity = content_identity(description)
         self._link = HliLink(

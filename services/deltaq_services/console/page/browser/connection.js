@@ -9,7 +9,8 @@ const MOST_BUFFERED_BYTES = 4096; // more means that the line does not take what
 
 export class Connection extends EventTarget {
   /**
-   * Events: "frame" (ArrayBuffer), each text message by its type, "up", "down".
+   * Events: "frame" (ArrayBuffer), each text message by its type, "up", "down", and "replaced": another console answers
+   * than the one that this page was loaded from, maybe for another cell. Then it is never up again; load the page anew.
    * @param url of the WebSocket.
    * @param Socket class to use, now() a clock in ms: others in tests.
    */
@@ -84,6 +85,12 @@ export class Connection extends EventTarget {
     }
     const message = JSON.parse(data);
     if (message.type === "hello") {
+      this._console ??= message.console;
+      if (this._console !== message.console) {
+        this.close();
+        this._tell("replaced");
+        return;
+      }
       this.isUp = true;
       this._attempt = 0;
       this._tell("up", message);
@@ -113,14 +120,14 @@ export class Connection extends EventTarget {
     for (const id of [...this._waiting.keys()]) this._answer({ id, outcome: "lost", text: "the connection was lost" }, true);
     if (this.isUp) {
       this.isUp = false;
-      this._tell("down", null);
+      this._tell("down");
     }
     if (this._closed) return;
     const wait = RETRY_MS[Math.min(this._attempt++, RETRY_MS.length - 1)];
     this._retry = setTimeout(() => this._connect(), wait);
   }
 
-  _tell(kind, detail) {
+  _tell(kind, detail = null) {
     this.dispatchEvent(Object.assign(new Event(kind), { detail }));
   }
 }

@@ -42,17 +42,17 @@ export function save(name, content, type) {
 }
 
 /** A key for the page's own settings that outlive a visit. */
-export function remembered(name, fallback) {
+export function remembered(name, fallback, storage = "localStorage") {
   try {
-    return JSON.parse(localStorage.getItem(`deltaq.${name}`)) ?? fallback;
+    return JSON.parse(globalThis[storage].getItem(`deltaq.${name}`)) ?? fallback;
   } catch {
     return fallback;
   }
 }
 
-export function remember(name, value) {
+export function remember(name, value, storage = "localStorage") {
   try {
-    localStorage.setItem(`deltaq.${name}`, JSON.stringify(value));
+    globalThis[storage].setItem(`deltaq.${name}`, JSON.stringify(value));
   } catch {
     // a private window: the setting lasts as long as the page
   }

@@ -27,6 +27,7 @@ export async function start(holder) {
   });
   live.addEventListener("replay", () => stop.update());
   bindStop(stop, part("stop"));
+  connection.addEventListener("replaced", () => location.reload());
   connection.open();
 
   // for tests and the curious: what is behind the page

@@ -1,7 +1,15 @@
-// STOP: on pointer-down and on Escape, repeated until the console has heard it, and answered only as far as is known.
+// STOP: on pointer-down and on Escape, repeated until the console has heard it, and answered only as far as is known. It
+// outlives the page: one that is loaded anew, as after the console was started again, goes on repeating it.
+
+import { remember, remembered } from "./dom.js";
 
 const AGAIN_MS = 100;
 const GIVE_UP_MS = 10000;
+
+// when it was pressed, for this tab's next page
+const KEPT = "stop_pressed_ms";
+const keepPressed = (time_ms) => remember(KEPT, time_ms, "sessionStorage");
+const keptPressed = () => remembered(KEPT, 0, "sessionStorage");
 
 const WORDS = {
   ready: ["STOP", "Esc · software stop, no safety-rated E-stop"],
@@ -21,16 +29,23 @@ export class Stop {
     Object.assign(this, { live, show, state: "ready", pressed: false });
     live.addEventListener("status", () => this.update());
     live.addEventListener("line", () => this.update());
+    const pressed_ms = keptPressed();
+    if (Date.now() - pressed_ms < GIVE_UP_MS) this._repeat(pressed_ms);
     this.update();
   }
 
   /** Somebody wants everything to stop. */
   press() {
-    this._since = performance.now();
+    keepPressed(Date.now());
+    this._repeat(Date.now());
+  }
+
+  _repeat(pressed_ms) {
+    this._since_ms = pressed_ms;
     this.pressed = true;
-    this._send();
     clearInterval(this._timer);
     this._timer = setInterval(() => this._send(), AGAIN_MS);
+    this._send();
   }
 
   update() {
@@ -45,7 +60,7 @@ export class Stop {
   }
 
   _send() {
-    if (performance.now() - this._since > GIVE_UP_MS) {
+    if (Date.now() - this._since_ms > GIVE_UP_MS) {
       this._end();
       this.gaveUp = true;
       this.update();
@@ -68,6 +83,7 @@ export class Stop {
 
   _end() {
     clearInterval(this._timer);
+    keepPressed(0);
     this.pressed = false;
   }
 }
