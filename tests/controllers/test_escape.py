@@ -11,10 +11,12 @@ import pytest
 
 from deltaq_cell.anatomy import placed_at_first
 from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.camera.error import look, view_jacobians
 from deltaq_controllers.camera.escape.arm import EscapingArm, arm_of
 from deltaq_controllers.camera.escape.distances import clearance, place_boxes
 from deltaq_controllers.camera.escape.follower import EscapingFollower
 from deltaq_controllers.camera.escape.gains import EscapeGains
+from deltaq_controllers.camera.escape.motion import Seen, move
 from deltaq_controllers.camera.escape.plan import EscapePlan
 from deltaq_controllers.camera.escape.pursuit import Pursuit
 from deltaq_controllers.camera.escape.rollout import (
@@ -23,12 +25,15 @@ from deltaq_controllers.camera.escape.rollout import (
     Attacker,
     Courses,
     CourseStart,
+    Simulation,
     best_course,
     course_cost,
 )
 from deltaq_controllers.camera.qp_follower import QpFollower
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import RobotView, View
+from deltaq_controllers.kinematics import Kinematics
+from deltaq_controllers.redundancy import damped_rates
 from deltaq_experiments import collision
 from deltaq_experiments.options import Options
 from deltaq_protocol.arrays import Array
@@ -72,6 +77,42 @@ def test_the_model_places_joints_where_the_robot_has_them(arm: EscapingArm) -> N
         assert placed.translation == pytest.approx(FR.joint_origins(q), abs=1e-9)
 
 
+def test_a_step_goes_as_the_law_says_with_the_view_of_the_other_controllers(arm: EscapingArm) -> None:
+    placed, seen, camera = placed_at_first(arm.boxed.anatomy), Seen.of(FR.n), Kinematics(FR, "camera")
+    random, time_s, held = np.random.default_rng(6), 0.08, 0
+    for _ in range(50):
+        before, rates = random.uniform(FR.lower, FR.upper), random.uniform(-0.3, 0.3, FR.n)
+        goal, q, focus = random.uniform(FR.lower, FR.upper), before.copy(), random.uniform(-2.0, 2.0, 3)
+        change = FR.max_acceleration * time_s
+        way = goal - q
+        toward = np.sign(way) * np.minimum(FR.max_velocity, np.sqrt(1.4 * FR.max_acceleration * np.abs(way)))
+        wanted = np.clip(arm.leads * toward, rates - change, rates + change)
+        place_boxes(arm.boxed, placed, q)
+        angle, distance = move(arm, time_s, focus, goal, q, rates, seen, placed)
+        camera.update(before)
+        view = look(camera.rotation, camera.position, focus)
+        assert (angle, distance) == pytest.approx((view.angle, view.distance), abs=1e-9)
+        assert seen.lens == pytest.approx(camera.position, abs=1e-9)
+        rows = view_jacobians(view, camera.position, focus, camera.twists)[0] / view.stretch
+        assert seen.rows == pytest.approx(rows, abs=1e-9)
+        weights = FR.max_acceleration**2
+        turn = -0.5 / time_s * min(view.angle, 1.0) * view.direction
+        free = damped_rates(rows, weights, turn, wanted / weights, 1.0)
+        most = 1.6 * FR.max_acceleration
+        fastest = np.minimum(np.sqrt(most * (FR.upper - before)), FR.max_velocity)
+        slowest = -np.minimum(np.sqrt(most * (before - FR.lower)), FR.max_velocity)
+        bounded = np.clip(free, slowest, fastest)
+        stuck = bounded != free
+        held += bool(stuck.any())
+        if stuck.any():
+            weights = np.where(stuck, 1e-6, weights)
+            rest = damped_rates(rows, weights, turn, np.where(stuck, bounded, wanted) / weights, 1.0)
+            bounded = np.clip(rest, slowest, fastest)
+        assert rates == pytest.approx(bounded, abs=1e-6)
+        assert q == pytest.approx(np.clip(before + time_s * bounded, FR.lower, FR.upper), abs=1e-7)
+    assert 0 < held < 50
+
+
 def test_no_clearance_is_greater_than_that_of_the_bodies(arm: EscapingArm) -> None:
     placed, random = placed_at_first(arm.boxed.anatomy), np.random.default_rng(4)
     geometry, data = FR.geometry, FR.model.createData()
@@ -103,17 +144,14 @@ def test_the_best_of_some_courses_costs_what_it_costs_alone_and_less_than_the_ot
     goals = random.uniform(FR.lower, FR.upper, (6, FR.n))
     goals[0] = FR.home
     courses = Courses(goals, np.full(6, 10), goals[::-1].copy())
-    placed, paths = placed_at_first(arm.boxed.anatomy), np.zeros((2, GAINS.steps, FR.n))
-    best, _, cost = best_course(arm, at_the_lens(), GAINS, start(), courses, placed, paths)
-    path = np.zeros((GAINS.steps, FR.n))
-    alone = [
-        course_cost(arm, at_the_lens(), GAINS, start(), courses, k, placed, path, math.inf) for k in range(6)
-    ]
+    simulation, other = Simulation.of(arm, GAINS), Simulation.of(arm, GAINS)
+    best, _, cost = best_course(arm, at_the_lens(), GAINS, start(), courses, simulation)
+    alone = [course_cost(arm, at_the_lens(), GAINS, start(), courses, k, other, math.inf) for k in range(6)]
     assert cost == alone[best]
     assert cost <= min(alone) / GAINS.better + 0.05
-    assert (paths[0] >= FR.lower - 1e-9).all()
-    assert (paths[0] <= FR.upper + 1e-9).all()
-    fastest = np.abs(np.diff(paths[0], axis=0)).max(axis=0)
+    assert (simulation.best >= FR.lower - 1e-9).all()
+    assert (simulation.best <= FR.upper + 1e-9).all()
+    fastest = np.abs(np.diff(simulation.best, axis=0)).max(axis=0)
     assert (fastest <= FR.max_velocity * GAINS.step_s + 1e-9).all()
 
 

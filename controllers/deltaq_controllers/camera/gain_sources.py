@@ -104,7 +104,11 @@ _LED = "rows of the programme while a course leads"
 ESCAPE: dict[str, GainSource] = {
     "step_s": GainSource("s", _PLAN, TRIAL),
     "steps": GainSource("1", _PLAN, "two seconds ahead, in steps of `step_s`"),
-    "rivals": GainSource("1", _PLAN, "what a cycle of 12 ms has time for"),
+    "rivals": GainSource(
+        "1",
+        _PLAN,
+        "what a cycle of 12 ms has time for; with 8, 24 and 60 of them 24, 33 and 36 of 40 attacks on the elbow missed",
+    ),
     "range_m": GainSource("m", _COST, TRIAL),
     "near": GainSource("1", _COST, TRIAL),
     "close_m": GainSource("m", _COST, TRIAL),

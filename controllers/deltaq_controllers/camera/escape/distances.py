@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deltaq_cell.compiled import compiled
+from deltaq_cell.compiled import compiled, inlined, makes_no_array
 from deltaq_cell.kernel.arrays import Anatomy, Placed
 from deltaq_cell.kernel.place import place
 from deltaq_controllers.spheres import Spheres
-from deltaq_protocol.arrays import Array, Indices
+from deltaq_protocol.arrays import Array, Flags, Indices
 
 
 class BoxedArm(NamedTuple):
@@ -22,20 +22,23 @@ class BoxedArm(NamedTuple):
         own: (b,) numbers of its own bodies in there.
         balls: around its outer bodies; `joints` count from 0 here.
         pairs: (p, 2) sphere and body that are to be kept apart.
+        alone: (bodies,) False for all: the gate's kernel need place none, but only joints.
+        still: (n,) zeros: it places a configuration, and no box of them.
     """
 
     anatomy: Anatomy
     own: Indices
     balls: Spheres
     pairs: Indices
+    alone: Flags
+    still: Array
 
 
-@compiled
+@makes_no_array
 def place_boxes(arm: BoxedArm, placed: Placed, q: Array) -> None:
     """Place the joints, and the boxes of the own bodies, at configuration `q` (n,)."""
-    anatomy, none = arm.anatomy, np.zeros_like(q)
-    nobody = np.zeros(len(anatomy.carrier), dtype=np.bool_)
-    place(anatomy, placed, (0, len(q)), (0, 0), nobody, q, none)
+    anatomy = arm.anatomy
+    place(anatomy, placed, (0, len(q)), (0, 0), arm.alone, q, arm.still)
     for body in arm.own:
         joint = anatomy.carrier[body]
         if joint < 0:
@@ -50,7 +53,7 @@ def place_boxes(arm: BoxedArm, placed: Placed, q: Array) -> None:
                 placed.edges[body, k, row] = a * edge[0] + b * edge[1] + c * edge[2]
 
 
-@compiled
+@inlined
 def gap(
     anatomy: Anatomy, placed: Placed, body: int, x: float, y: float, z: float, radius: float, least: float
 ) -> float:
@@ -80,7 +83,7 @@ def gaps(arm: BoxedArm, placed: Placed) -> Array:
     return distances
 
 
-@compiled
+@makes_no_array
 def least_gap(arm: BoxedArm, placed: Placed, least: float) -> float:
     """The least distance of all pairs; `least` if it is no less [m]."""
     last, at = -1, (0.0, 0.0, 0.0)
@@ -92,7 +95,7 @@ def least_gap(arm: BoxedArm, placed: Placed, least: float) -> float:
     return least
 
 
-@compiled
+@makes_no_array
 def clearance(
     arm: BoxedArm, placed: Placed, centres: Array, radii: Array, shift: Array, least: float
 ) -> float:
@@ -113,7 +116,7 @@ def clearance(
     return least
 
 
-@compiled
+@inlined
 def _ball_at(arm: BoxedArm, placed: Placed, ball: int) -> tuple[float, float, float]:
     joint, centre = arm.balls.joints[ball], arm.balls.centres[ball]
     rotation, origin = placed.rotation[joint], placed.translation[joint]

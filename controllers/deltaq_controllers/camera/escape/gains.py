@@ -32,7 +32,7 @@ class EscapeGains(NamedTuple):
 
     step_s: float = 0.08
     steps: int = 25
-    rivals: int = 8
+    rivals: int = 60
     range_m: float = 0.35
     near: float = 3.0
     close_m: float = 0.12

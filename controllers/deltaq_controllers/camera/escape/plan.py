@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from deltaq_cell.anatomy import placed_at_first
 from deltaq_controllers.camera.escape.arm import EscapingArm
 from deltaq_controllers.camera.escape.gains import EscapeGains
-from deltaq_controllers.camera.escape.rollout import Attacker, Courses, CourseStart, best_course
+from deltaq_controllers.camera.escape.rollout import Attacker, Courses, CourseStart, Simulation, best_course
 from deltaq_protocol.arrays import Array
 
-_TABLE = 4096
-"""Goals that are drawn in advance and tried in turn; the choice depends only on the cycle."""
+_SETS = 256
+"""Sets of rivals that are drawn in advance and tried in turn, one a cycle; the choice depends only on the cycle."""
+
+_ANYWHERE, _ABOUT_HELD = 0.5, 0.8
+"""Shares of goals that are anywhere, and of these and those about the first goal of the held course."""
 
 _FREE = 0.05
 """Distance of goals from a joint's limits, as a fraction of its range."""
@@ -42,14 +44,14 @@ class EscapePlan:
         n, random = len(arm.lower), np.random.default_rng(0)
         margin = _FREE * (arm.upper - arm.lower)
         self._low, self._high = arm.lower + margin, arm.upper - margin
-        self._anywhere = random.uniform(self._low, self._high, (_TABLE, n))
-        self._nearby = random.normal(0.0, _NEARBY_RAD, (_TABLE, n))
-        self._kind = random.random(_TABLE)
-        self._until = random.integers(_FIRST_STEPS, gains.steps + 1, _TABLE)
-        self._drawn = 0
+        shape = (_SETS, 2, gains.rivals, n)
+        self._anywhere = random.uniform(self._low, self._high, shape)
+        self._nearby = random.normal(0.0, _NEARBY_RAD, shape)
+        self._kind = random.random((*shape[:3], 1))
+        self._until = random.integers(_FIRST_STEPS, gains.steps + 1, (_SETS, gains.rivals))
+        self._set = 0
         self._arm, self._gains, self._cycle_s = arm, gains, cycle_s
-        self._placed = placed_at_first(arm.boxed.anatomy)
-        self._paths = np.zeros((2, gains.steps, n))
+        self._simulation = Simulation.of(arm, gains)
         # the held one, the best rival of the last cycle, staying where one is, and new ones
         count = 3 + gains.rivals
         self._courses = Courses(np.zeros((count, n)), np.zeros(count, dtype=np.intp), np.zeros((count, n)))
@@ -66,27 +68,24 @@ class EscapePlan:
         self._put(0, held)
         self._put(1, self._rival or stay)
         self._put(2, stay)
-        for place in range(3, len(self._courses.until)):
-            first, until, then = self._goal(q, held[0]), int(self._until[self._drawn]), self._goal(q, held[0])
-            self._put(place, (first, until, then))
+        self._draw_rivals(q, held[0])
         best, rival, self.cost = best_course(
-            self._arm, attacker, gains, start, self._courses, self._placed, self._paths
+            self._arm, attacker, gains, start, self._courses, self._simulation
         )
         self._held, self._rival = self._aged(self._course(best)), self._course(rival)
-        rates: Array = (self._paths[0, _AHEAD - 1] - q) / (_AHEAD * gains.step_s)
+        rates: Array = (self._simulation.best[_AHEAD - 1] - q) / (_AHEAD * gains.step_s)
         return rates
 
-    def _goal(self, q: Array, held: Array) -> Array:
-        """(n,) a goal anywhere, or about the first one of the held course, or about `q`."""
-        number = self._drawn
-        self._drawn = (number + 1) % _TABLE
-        kind = self._kind[number]
-        if kind < 0.5:
-            anywhere: Array = self._anywhere[number]
-            return anywhere
-        about = held if kind < 0.8 else q
-        nearby: Array = np.clip(about + self._nearby[number], self._low, self._high)
-        return nearby
+    def _draw_rivals(self, q: Array, held: Array) -> None:
+        """The next set; each goal is anywhere, or about the first one of the held course, or about `q`."""
+        kind, nearby = self._kind[self._set], self._nearby[self._set]
+        about = np.where(kind < _ABOUT_HELD, held, q)
+        near = np.clip(about + nearby, self._low, self._high)
+        self._courses.first[3:], self._courses.then[3:] = np.where(
+            kind < _ANYWHERE, self._anywhere[self._set], near
+        )
+        self._courses.until[3:] = self._until[self._set]
+        self._set = (self._set + 1) % _SETS
 
     def _put(self, place: int, course: tuple[Array, int, Array]) -> None:
         self._courses.first[place], self._courses.until[place], self._courses.then[place] = course

@@ -8,17 +8,17 @@ bodies go where the tool goes.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
-from deltaq_cell.compiled import compiled
+from deltaq_cell.anatomy import placed_at_first
+from deltaq_cell.compiled import inlined, makes_no_array
 from deltaq_cell.kernel.arrays import Placed
-from deltaq_controllers.camera.error import look, view_jacobians
 from deltaq_controllers.camera.escape.arm import EscapingArm
 from deltaq_controllers.camera.escape.distances import clearance, least_gap, place_boxes
 from deltaq_controllers.camera.escape.gains import EscapeGains
-from deltaq_controllers.redundancy import damped_rates
+from deltaq_controllers.camera.escape.motion import Seen, move
 from deltaq_protocol.arrays import Array, Indices
 
 LENS, NOTHING = -1, -2
@@ -29,12 +29,6 @@ ATTACKERS_M_S2 = 2.0
 
 _FADES = 0.9
 """Fraction of its velocity that a tool without a target keeps from one step to the next."""
-
-_TURNS = 0.5
-"""Fraction of the view's error that one step removes."""
-
-_BRAKES = 0.8
-"""Fraction of its deceleration that a joint uses before its limit; before a goal it is less."""
 
 
 class Attacker(NamedTuple):
@@ -74,34 +68,66 @@ class CourseStart(NamedTuple):
     distance: float
 
 
-@compiled
+class Simulation(NamedTuple):
+    """What courses are simulated in, so that none makes an array.
+
+    Attributes:
+        placed: the arm, as the gate's kernel places it.
+        seen: what its camera sees.
+        q, rates: (n,) of the arm.
+        tip, velocity: (3,) of the attacker's tool [m], [m/s].
+        shift: (3,) by which its bodies have moved [m].
+        path: (steps, n) of the newest course [rad or m].
+        best: (steps, n) of the best one.
+    """
+
+    placed: Placed
+    seen: Seen
+    q: Array
+    rates: Array
+    tip: Array
+    velocity: Array
+    shift: Array
+    path: Array
+    best: Array
+
+    @classmethod
+    def of(cls, arm: EscapingArm, gains: EscapeGains) -> Self:
+        """One for courses of an arm."""
+        n = len(arm.lower)
+        tool, paths = np.zeros((3, 3)), np.zeros((2, gains.steps, n))
+        return cls(placed_at_first(arm.boxed.anatomy), Seen.of(n), np.zeros(n), np.zeros(n), *tool, *paths)
+
+
+@makes_no_array
 def best_course(
     arm: EscapingArm,
     attacker: Attacker,
     gains: EscapeGains,
     start: CourseStart,
     courses: Courses,
-    placed: Placed,
-    paths: Array,
+    simulation: Simulation,
 ) -> tuple[int, int, float]:
     """The best of some courses; the first one is held unless another is clearly better.
 
     Returns:
-        Number of the best, of the best of the others, and what the first costs. `paths[0]` (steps, n) is its way.
+        Number of the best, of the best of the others, and what the best costs; its way is `simulation.best`.
     """
     best, second, least = 0, 0, math.inf
     bound = math.inf
     for course in range(len(courses.until)):
-        cost = course_cost(arm, attacker, gains, start, courses, course, placed, paths[1], bound)
+        cost = course_cost(arm, attacker, gains, start, courses, course, simulation, bound)
         if course == 0 or cost < gains.better * bound - 0.03:
             best, bound = course, cost
-            paths[0] = paths[1]
+            for step in range(gains.steps):
+                for joint in range(len(start.q)):
+                    simulation.best[step, joint] = simulation.path[step, joint]
         if course > 0 and cost < least:
             second, least = course, cost
     return best, second, bound
 
 
-@compiled
+@makes_no_array
 def course_cost(
     arm: EscapingArm,
     attacker: Attacker,
@@ -109,23 +135,31 @@ def course_cost(
     start: CourseStart,
     courses: Courses,
     course: int,
-    placed: Placed,
-    path: Array,
+    simulation: Simulation,
     bound: float,
 ) -> float:
-    """Cost of one course; once it is above `bound` the rest is not looked at. `path` (steps, n) is written to."""
-    q, rates = start.q.copy(), start.rates.copy()
-    tip, velocity, shift = attacker.tip.copy(), attacker.velocity.copy(), np.zeros(3)
+    """Cost of one course, whose way is `simulation.path`; once it is above `bound` the rest is not looked at."""
+    q, rates, placed, seen = simulation.q, simulation.rates, simulation.placed, simulation.seen
+    for joint in range(len(q)):
+        q[joint], rates[joint] = start.q[joint], start.rates[joint]
+    for k in range(3):
+        simulation.tip[k], simulation.velocity[k] = attacker.tip[k], attacker.velocity[k]
+        simulation.shift[k] = 0.0
     place_boxes(arm.boxed, placed, q)
     cost, away = 0.0, start.distance
     for step in range(gains.steps):
         goal = courses.first[course] if step < courses.until[course] else courses.then[course]
-        angle, away, lens = _move(arm, gains.step_s, start.focus, goal, q, rates, placed)
-        path[step] = q
+        angle, away = move(arm, gains.step_s, start.focus, goal, q, rates, seen, placed)
+        for joint in range(len(q)):
+            simulation.path[step, joint] = q[joint]
         place_boxes(arm.boxed, placed, q)
-        target = lens if attacker.target < 0 else placed.translation[attacker.target]
-        _pursue(attacker, gains.step_s, target, tip, velocity, shift)
-        cost += _cost_of_step(arm, attacker, gains, placed, shift, angle)
+        _pursue(
+            attacker,
+            gains.step_s,
+            seen.lens if attacker.target < 0 else placed.translation[attacker.target],
+            simulation,
+        )
+        cost += _cost_of_step(arm, attacker, gains, placed, simulation.shift, angle)
         if cost > bound:
             return cost
     for joint in range(len(q)):
@@ -135,71 +169,27 @@ def course_cost(
     return cost + gains.distance * (away - start.distance) ** 2
 
 
-@compiled
-def _move(
-    arm: EscapingArm, time: float, focus: Array, goal: Array, q: Array, rates: Array, placed: Placed
-) -> tuple[float, float, Array]:
-    """Move `q` and `rates` (n,) by a step; the view's error [rad] and distance [m] and the lens (3,) [m] before it."""
-    joint = arm.camera_joint
-    rotation, lens = np.zeros((3, 3)), placed.translation[joint].copy()
-    # a compiled `@` would need scipy, which an installed deltaq does not have
-    for row in range(3):
-        for k in range(3):
-            turned = placed.rotation[joint, row, k]
-            lens[row] += turned * arm.camera_position[k]
-            for column in range(3):
-                rotation[row, column] += turned * arm.camera_rotation[k, column]
-    view = look(rotation, lens, focus)
-    twists = np.empty((6, len(q)))
-    for i in range(len(q)):
-        for axis in range(6):
-            twists[axis, i] = arm.sees[i] * placed.columns[i, axis]
-    rows = view_jacobians(view, lens, focus, twists)[0] / view.stretch
-    for i in range(len(q)):
-        way, most = goal[i] - q[i], arm.max_acceleration[i] * time
-        wanted = math.copysign(min(arm.max_rate[i], math.sqrt(1.4 * arm.max_acceleration[i] * abs(way))), way)
-        rates[i] = min(max(arm.leads[i] * wanted, rates[i] - most), rates[i] + most)
-    rates[:] = _with_view(arm, q, rows, (-_TURNS / time * min(view.angle, 1.0)) * view.direction, rates)
-    for i in range(len(q)):
-        q[i] = min(max(q[i] + time * rates[i], arm.lower[i]), arm.upper[i])
-    return view.angle, view.distance, lens
+@inlined
+def _pursue(attacker: Attacker, time: float, target: Array, simulation: Simulation) -> None:
+    """Move the attacker's tool by a step."""
+    tip, velocity, shift = simulation.tip, simulation.velocity, simulation.shift
+    x, y, z = target[0] - tip[0], target[1] - tip[1], target[2] - tip[2]
+    far = max(math.sqrt(x * x + y * y + z * z), 1e-9)
+    toward = min(attacker.speed, math.sqrt(2.0 * ATTACKERS_M_S2 * far)) / far
+    if attacker.target == NOTHING:
+        x, y, z = _FADES * velocity[0], _FADES * velocity[1], _FADES * velocity[2]
+        toward = 1.0
+    x, y, z = toward * x - velocity[0], toward * y - velocity[1], toward * z - velocity[2]
+    share = min(ATTACKERS_M_S2 * time / max(math.sqrt(x * x + y * y + z * z), 1e-9), 1.0)
+    velocity[0] += share * x
+    velocity[1] += share * y
+    velocity[2] += share * z
+    for k in range(3):
+        tip[k] += time * velocity[k]
+        shift[k] += time * velocity[k]
 
 
-@compiled
-def _with_view(arm: EscapingArm, q: Array, rows: Array, turn: Array, rates: Array) -> Array:
-    """(n,) rates that also turn the view by `turn` (2,); joints that cannot leave it to the others."""
-    room_above, room_below = np.maximum(arm.upper - q, 0.0), np.maximum(q - arm.lower, 0.0)
-    fastest = np.minimum(np.sqrt(2.0 * _BRAKES * arm.max_acceleration * room_above), arm.max_rate)
-    slowest = -np.minimum(np.sqrt(2.0 * _BRAKES * arm.max_acceleration * room_below), arm.max_rate)
-    inverse = arm.max_acceleration**2
-    wanted = damped_rates(rows, inverse, turn, rates / inverse, 1.0)
-    bounded = np.minimum(np.maximum(wanted, slowest), fastest)
-    held = bounded != wanted
-    if not held.any():
-        return bounded
-    inverse = np.where(held, 1e-6, inverse)
-    wanted = damped_rates(rows, inverse, turn, np.where(held, bounded, rates) / inverse, 1.0)
-    return np.minimum(np.maximum(wanted, slowest), fastest)
-
-
-@compiled
-def _pursue(
-    attacker: Attacker, time: float, target: Array, tip: Array, velocity: Array, shift: Array
-) -> None:
-    """Move the attacker's `tip`, its `velocity` and its `shift` since the start (3,) by a step."""
-    wanted = _FADES * velocity
-    if attacker.target != NOTHING:
-        way = target - tip
-        far = max(math.sqrt((way * way).sum()), 1e-9)
-        wanted = (min(attacker.speed, math.sqrt(2.0 * ATTACKERS_M_S2 * far)) / far) * way
-    change, most = wanted - velocity, ATTACKERS_M_S2 * time
-    size = math.sqrt((change * change).sum())
-    velocity += change * (min(most / max(size, 1e-9), 1.0))
-    tip += time * velocity
-    shift += time * velocity
-
-
-@compiled
+@inlined
 def _cost_of_step(
     arm: EscapingArm, attacker: Attacker, gains: EscapeGains, placed: Placed, shift: Array, angle: float
 ) -> float:
