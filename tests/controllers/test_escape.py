@@ -16,7 +16,7 @@ from deltaq_controllers.camera.escape.arm import EscapingArm, arm_of
 from deltaq_controllers.camera.escape.distances import clearance, place_boxes
 from deltaq_controllers.camera.escape.follower import EscapingFollower
 from deltaq_controllers.camera.escape.gains import EscapeGains
-from deltaq_controllers.camera.escape.motion import Seen, move
+from deltaq_controllers.camera.escape.motion import SimulatedView, move
 from deltaq_controllers.camera.escape.plan import EscapePlan
 from deltaq_controllers.camera.escape.pursuit import Pursuit
 from deltaq_controllers.camera.escape.rollout import (
@@ -78,7 +78,11 @@ def test_the_model_places_joints_where_the_robot_has_them(arm: EscapingArm) -> N
 
 
 def test_a_step_goes_as_the_law_says_with_the_view_of_the_other_controllers(arm: EscapingArm) -> None:
-    placed, seen, camera = placed_at_first(arm.boxed.anatomy), Seen.of(FR.n), Kinematics(FR, "camera")
+    placed, seen, camera = (
+        placed_at_first(arm.boxed.anatomy),
+        SimulatedView.of(FR.n),
+        Kinematics(FR, "camera"),
+    )
     random, time_s, held = np.random.default_rng(6), 0.08, 0
     for _ in range(50):
         before, rates = random.uniform(FR.lower, FR.upper), random.uniform(-0.3, 0.3, FR.n)

@@ -27,7 +27,7 @@ _HELD = 1e-6
 """Inverse weight of a joint that cannot turn the view any more."""
 
 
-class Seen(NamedTuple):
+class SimulatedView(NamedTuple):
     """What the camera sees while the arm moves; written to in each step.
 
     Attributes:
@@ -58,7 +58,7 @@ def move(
     goal: Array,
     q: Array,
     rates: Array,
-    seen: Seen,
+    seen: SimulatedView,
     placed: Placed,
 ) -> tuple[float, float]:
     """Move `q` and `rates` (n,) by a step; returns the view's error [rad] and distance [m] before it."""
@@ -75,7 +75,9 @@ def move(
 
 
 @inlined
-def _look(arm: EscapingArm, focus: Array, seen: Seen, placed: Placed) -> tuple[float, float, float, float]:
+def _look(
+    arm: EscapingArm, focus: Array, seen: SimulatedView, placed: Placed
+) -> tuple[float, float, float, float]:
     """Write to `seen`; returns the error [rad], the distance [m], and the error's direction in the picture."""
     joint, axes, lens = arm.camera_joint, seen.axes, seen.lens
     for row in range(3):
@@ -115,7 +117,9 @@ def _look(arm: EscapingArm, focus: Array, seen: Seen, placed: Placed) -> tuple[f
 
 
 @inlined
-def _keep_view(arm: EscapingArm, q: Array, right: float, up: float, rates: Array, seen: Seen) -> None:
+def _keep_view(
+    arm: EscapingArm, q: Array, right: float, up: float, rates: Array, seen: SimulatedView
+) -> None:
     """Change `rates` so that they turn the view too; joints that cannot leave it to the others."""
     for i in range(len(q)):
         seen.weights[i] = arm.max_acceleration[i] ** 2
@@ -132,7 +136,7 @@ def _keep_view(arm: EscapingArm, q: Array, right: float, up: float, rates: Array
 
 
 @inlined
-def _turn(right: float, up: float, rates: Array, seen: Seen) -> None:
+def _turn(right: float, up: float, rates: Array, seen: SimulatedView) -> None:
     """The law (9): `seen.wanted` turns the view by a rate, and is else as near to `rates` as it may be."""
     rows, weights = seen.rows, seen.weights
     a = c = 1.0  # the damping

@@ -18,7 +18,7 @@ from deltaq_cell.kernel.arrays import Placed
 from deltaq_controllers.camera.escape.arm import EscapingArm
 from deltaq_controllers.camera.escape.distances import clearance, least_gap, place_boxes
 from deltaq_controllers.camera.escape.gains import EscapeGains
-from deltaq_controllers.camera.escape.motion import Seen, move
+from deltaq_controllers.camera.escape.motion import SimulatedView, move
 from deltaq_protocol.arrays import Array, Indices
 
 LENS, NOTHING = -1, -2
@@ -82,7 +82,7 @@ class Simulation(NamedTuple):
     """
 
     placed: Placed
-    seen: Seen
+    seen: SimulatedView
     q: Array
     rates: Array
     tip: Array
@@ -96,7 +96,9 @@ class Simulation(NamedTuple):
         """One for courses of an arm."""
         n = len(arm.lower)
         tool, paths = np.zeros((3, 3)), np.zeros((2, gains.steps, n))
-        return cls(placed_at_first(arm.boxed.anatomy), Seen.of(n), np.zeros(n), np.zeros(n), *tool, *paths)
+        return cls(
+            placed_at_first(arm.boxed.anatomy), SimulatedView.of(n), np.zeros(n), np.zeros(n), *tool, *paths
+        )
 
 
 @makes_no_array
