@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
+
 import msgpack
 
 from deltaq_protocol import topics
@@ -9,7 +12,7 @@ from deltaq_protocol.codec import from_map
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import PROTOCOL_VERSION, DescribeRequest, Description
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_protocol.wire import Wire
+from deltaq_protocol.wire import LOOK_AGAIN_S, Wire
 
 _CONNECT_DEADLINE_S = 3.0
 
@@ -25,13 +28,18 @@ async def described(wire: Wire, address: str) -> Description:
         ServiceUnreachableError: nobody there serves a cell.
         RefusedError: `protocol_version`, if the server speaks another version.
     """
-    try:
-        payload = await wire.ask(topics.DESCRIPTION, "*", DescribeRequest(), deadline_s=_CONNECT_DEADLINE_S)
-    except ServiceUnreachableError:
-        raise ServiceUnreachableError(
-            f"{address} answers, but serves no cell; is it the address of an HLI (`hli` in the cell's YAML)?"
-        ) from None
-    return _of_our_version(payload)
+    loop = asyncio.get_running_loop()
+    give_up_s = loop.time() + _CONNECT_DEADLINE_S
+    while (left_s := give_up_s - loop.time()) > 0.0:
+        # it changes nothing, and so may be asked again: the link may not have told yet who is at its other end
+        with contextlib.suppress(ServiceUnreachableError):
+            return _of_our_version(
+                await wire.ask(topics.DESCRIPTION, "*", DescribeRequest(), deadline_s=left_s)
+            )
+        await asyncio.sleep(LOOK_AGAIN_S)
+    raise ServiceUnreachableError(
+        f"{address} answers, but serves no cell; is it the address of an HLI (`hli` in the cell's YAML)?"
+    )
 
 
 def _of_our_version(payload: bytes) -> Description:

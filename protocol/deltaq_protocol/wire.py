@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -24,7 +23,7 @@ Prove = Callable[[str, bytes], bytes]
 
 QUERY_DEADLINE_S = 1.0
 """Longer than the server waits for the gate, so that the server's own answer arrives first."""
-_LOOK_AGAIN_S = 0.01
+LOOK_AGAIN_S = 0.01
 """Time between two looks whether somebody has come who can answer."""
 
 
@@ -53,7 +52,7 @@ class Wire:
         """Send a query and return the payload of its answer; `robot` where the topic's key has one.
 
         While nobody is there who could answer, as in the moments in which a link that was lost is made again, it waits
-        for somebody. `prove` makes the proof that goes beside the query.
+        for somebody; not with a wildcard for the cell. `prove` makes the proof that goes beside the query.
 
         Raises:
             RefusedError: the server refused the request.
@@ -61,32 +60,43 @@ class Wire:
         """
         key, payload = topic.key(cell, robot=robot), pack(request)
         give_up_s = self._loop.time() + deadline_s
-        while (left_s := give_up_s - self._loop.time()) > 0.0:
-            try:
-                reply, nobody_was_there = await self._query(topic, key, payload, prove, left_s)
-            except zenoh.ZError as error:
-                raise ServiceUnreachableError(
-                    f"no query to {key}: the connection was closed; connect again"
-                ) from error
-            if reply is not None and reply.ok is not None:
-                return reply.ok.payload.to_bytes()
-            if reply is not None and reply.err is not None:
-                with contextlib.suppress(InvalidMessageError):  # a timeout of zenoh itself is no reply
-                    refusal = unpack(Error, reply.err.payload.to_bytes())
-                    raise RefusedError(refusal.code, refusal.message, refusal.hint)
-            if not nobody_was_there:
-                break
-            await asyncio.sleep(_LOOK_AGAIN_S)
+        reply: zenoh.Reply | None = None
+        try:
+            if "*" not in key:  # zenoh does not tell who would answer to that
+                await self._somebody_is_there(key, give_up_s)
+            left_s = give_up_s - self._loop.time()
+            if left_s > 0.0:
+                # once: who took it and did not answer may have carried it out
+                reply = await self._query(topic, key, payload, prove, left_s)
+        except zenoh.ZError as error:
+            raise ServiceUnreachableError(
+                f"no query to {key}: the connection was closed; connect again"
+            ) from error
+        if reply is not None and reply.ok is not None:
+            return reply.ok.payload.to_bytes()
+        if reply is not None and reply.err is not None:
+            with contextlib.suppress(InvalidMessageError):  # a timeout of zenoh itself is no reply
+                refusal = unpack(Error, reply.err.payload.to_bytes())
+                raise RefusedError(refusal.code, refusal.message, refusal.hint)
         raise ServiceUnreachableError(
             f"no answer to {key} within {deadline_s:g} s; is the cell up (`deltaq up`, `deltaq status`)?"
         )
 
+    async def _somebody_is_there(self, key: str, give_up_s: float) -> None:
+        """Wait until somebody can be asked, or until a time of the loop has come."""
+        querier = self._session.declare_querier(key)
+        try:
+            while not querier.matching_status.matching and self._loop.time() < give_up_s:
+                await asyncio.sleep(LOOK_AGAIN_S)
+        finally:
+            with contextlib.suppress(zenoh.ZError):  # the session was closed meanwhile
+                querier.undeclare()
+
     async def _query(
         self, topic: Topic, key: str, payload: bytes, prove: Prove | None, timeout_s: float
-    ) -> tuple[zenoh.Reply | None, bool]:
-        """The first reply to a query, None if there is none; and whether nobody was there to be asked."""
+    ) -> zenoh.Reply | None:
+        """The first reply to a query; None if there is none."""
         future: asyncio.Future[zenoh.Reply | None] = self._loop.create_future()
-        asker, nobody_was_there = threading.get_ident(), False
 
         def settle(reply: zenoh.Reply | None) -> None:
             if not future.done():
@@ -96,21 +106,15 @@ class Wire:
             with contextlib.suppress(RuntimeError):  # the loop may have ended: nobody is left to be told
                 self._loop.call_soon_threadsafe(settle, reply)
 
-        def end() -> None:
-            nonlocal nobody_was_there
-            # zenoh ends in a thread of its own a query that somebody received, and otherwise at once
-            nobody_was_there = threading.get_ident() == asker
-            post(None)
-
         self._session.get(
             key,
-            zenoh.handlers.Callback(post, drop=end, indirect=False),
+            zenoh.handlers.Callback(post, drop=lambda: post(None), indirect=False),
             payload=payload,
             attachment=None if prove is None else prove(key, payload),
             timeout=timeout_s,
             **sending(topic.priority),
         )
-        return await future, nobody_was_there
+        return await future
 
     def ask_now(self, topic: Topic, cell: str, request: Message, robot: str, prove: Prove) -> None:
         """Send a query from where no loop runs any more, and wait until it was answered or will not be."""
