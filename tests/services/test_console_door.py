@@ -70,6 +70,18 @@ async def test_a_wrong_token_is_turned_away_and_none_makes_an_observer(tmp_path)
             assert (hello["operator"], hello["client"]) == (True, "desk")
 
 
+async def test_a_console_tells_its_browsers_which_one_it_is_and_another_is_another(tmp_path):
+    told_by = []
+    for _ in range(2):
+        async with served(tmp_path) as (_, host):
+            for _ in range(2):
+                async with websockets.connect(live(host)) as browser:
+                    told_by.append((await told(browser, "hello"))["console"])
+    one, again, other, _ = told_by
+    assert one == again
+    assert one != other
+
+
 async def test_garbage_ends_neither_the_connection_nor_the_service(tmp_path):
     async with served(tmp_path) as (console, host):
         async with websockets.connect(live(host), origin=f"http://{host}") as browser:

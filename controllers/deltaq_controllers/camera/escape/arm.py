@@ -97,8 +97,8 @@ def _boxed(scene: Scene, leads: Array) -> BoxedArm:
     balls = Spheres(spheres.joints[outer] - 1, spheres.centres[outer], spheres.radii[outer])
     own = np.flatnonzero(anatomy.robot >= 0)
     every = np.array([(ball, body) for ball in range(len(balls.radii)) for body in range(len(anatomy.robot))])
-    alone = np.zeros(len(anatomy.robot), dtype=np.bool_)
-    boxed = BoxedArm(anatomy, own, balls, every, alone, np.zeros(robot.n))
+    none_wanted = np.zeros(len(anatomy.robot), dtype=np.bool_)
+    boxed = BoxedArm(anatomy, own, balls, every, none_wanted, np.zeros(robot.n))
     return boxed._replace(pairs=every[_matter(robot, anatomy, boxed)])
 
 

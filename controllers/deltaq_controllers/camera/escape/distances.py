@@ -22,23 +22,23 @@ class BoxedArm(NamedTuple):
         own: (b,) numbers of its own bodies in there.
         balls: around its outer bodies; `joints` count from 0 here.
         pairs: (p, 2) sphere and body that are to be kept apart.
-        alone: (bodies,) False for all: the gate's kernel need place none, but only joints.
-        still: (n,) zeros: it places a configuration, and no box of them.
+        none_wanted: (bodies,) False: of the gate's kernel only the placing of joints is wanted, and of no body.
+        no_width: (n,) zeros: it places one configuration in place of a box of them [rad or m].
     """
 
     anatomy: Anatomy
     own: Indices
     balls: Spheres
     pairs: Indices
-    alone: Flags
-    still: Array
+    none_wanted: Flags
+    no_width: Array
 
 
 @makes_no_array
 def place_boxes(arm: BoxedArm, placed: Placed, q: Array) -> None:
     """Place the joints, and the boxes of the own bodies, at configuration `q` (n,)."""
     anatomy = arm.anatomy
-    place(anatomy, placed, (0, len(q)), (0, 0), arm.alone, q, arm.still)
+    place(anatomy, placed, (0, len(q)), (0, 0), arm.none_wanted, q, arm.no_width)
     for body in arm.own:
         joint = anatomy.carrier[body]
         if joint < 0:

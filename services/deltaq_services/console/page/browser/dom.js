@@ -41,7 +41,7 @@ export function save(name, content, type) {
   setTimeout(() => URL.revokeObjectURL(url), 10000);
 }
 
-/** A key for the page's own settings that outlive a visit. */
+/** One of the page's own settings: it outlives the visit, or in "sessionStorage" the page, in this tab alone. */
 export function remembered(name, fallback, storage = "localStorage") {
   try {
     return JSON.parse(globalThis[storage].getItem(`deltaq.${name}`)) ?? fallback;
