@@ -18,6 +18,7 @@ from typing import Any, TypeVar, cast
 import numba
 from numba.core import event
 from numba.core.caching import UserProvidedCacheLocator
+from numba.extending import register_jitable
 
 from deltaq_cell.machine_code import folder, package_of
 
@@ -36,11 +37,15 @@ def compiled(function: Function) -> Function:
 
 
 def inlined(function: Function) -> Function:
-    """Decorate a compiled function whose code is inlined wherever a compiled function calls it.
+    """Decorate a function that makes and returns no array, and becomes part of every compiled function that calls it.
 
     For short functions of named tuples: to hand over some thirty arrays costs several times what such a function does.
+    LLVM puts it in place. numba can as well, but copies all that it has put there before, so that a chain of such
+    functions takes minutes. Called from Python it stays Python.
     """
-    return _to_machine_code(function, inline="always")
+    no_entry = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    jitable = register_jitable(error_model="numpy", forceinline=True, _nrt=False, **no_entry)
+    return cast(Function, jitable(function))
 
 
 def makes_no_array(function: Function) -> Function:
@@ -60,9 +65,7 @@ def waits(function: Function) -> Function:
     return _to_machine_code(function, counts_users=False, keeps_lock=False)
 
 
-def _to_machine_code(
-    function: Function, inline: str = "never", counts_users: bool = True, keeps_lock: bool = True
-) -> Function:
+def _to_machine_code(function: Function, counts_users: bool = True, keeps_lock: bool = True) -> Function:
     users_own = numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES
     kept = _folder(function.__module__)
     # numba asks for its folder while it decorates, and others may want theirs elsewhere
@@ -70,9 +73,7 @@ def _to_machine_code(
     numba.config.CACHE_LOCATOR_CLASSES = f"{__name__}.{_PlaceInPackage.__name__}" if kept else users_own[1]
     try:
         # numba's option has no public name; what makes an array all the same is refused when it is compiled
-        decorate = numba.njit(
-            cache=bool(kept), error_model="numpy", inline=inline, _nrt=counts_users, nogil=not keeps_lock
-        )
+        decorate = numba.njit(cache=bool(kept), error_model="numpy", _nrt=counts_users, nogil=not keeps_lock)
         return cast(Function, decorate(function))
     finally:
         numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES = users_own

@@ -296,8 +296,6 @@ def test_no_liberties_are_taken_with_numbers():
     """Else sums would be ordered as the processor likes."""
     for function in (
         kernel.look,
-        kernel.gap,
-        kernel.keeps,
         kernel.separate_pairs,
         compiled_proximity.place,
         compiled_proximity.certify,

@@ -141,15 +141,17 @@ def want(stack: Stack, row: int, pairs: Pairs) -> None:
 def lay_box(stack: Stack, row: int, side: int, tube: Tube) -> None:
     """Lay the box of a piece of windows around their setpoints; that of a part of a span is as it is."""
     if stack.window[row, side, 0] != _SPAN:
-        write_box(_setpoints(stack, row, side, tube), stack.middle[row, side], stack.half[row, side])
+        start, end = _setpoints(stack, row, side, tube)
+        write_box(tube.points[start:end], stack.middle[row, side], stack.half[row, side])
 
 
 @inlined
 def lay_span(stack: Stack, row: int, side: int, tube: Tube) -> None:
     """Lay the span of a piece within its box, unless it is laid."""
     if stack.vertices[row, side] == 0:
+        start, end = _setpoints(stack, row, side, tube)
         stack.vertices[row, side] = write_span(
-            _setpoints(stack, row, side, tube),
+            tube.points[start:end],
             stack.middle[row, side],
             stack.offset[row, side],
             stack.deviation[row, side],
@@ -160,11 +162,10 @@ def lay_span(stack: Stack, row: int, side: int, tube: Tube) -> None:
 
 
 @inlined
-def _setpoints(stack: Stack, row: int, side: int, tube: Tube) -> Array:
-    """(k, n) those of a piece's windows."""
+def _setpoints(stack: Stack, row: int, side: int, tube: Tube) -> tuple[int, int]:
+    """Which of a tube's setpoints are those of a piece's windows: the first, and the one behind the last."""
     first, last = stack.window[row, side, 0], stack.window[row, side, 1]
-    start = max(0, min(first - tube.lag, len(tube.points) - 1))
-    return tube.points[start : last + 1]
+    return max(0, min(first - tube.lag, len(tube.points) - 1)), last + 1
 
 
 @inlined

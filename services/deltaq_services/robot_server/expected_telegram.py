@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deltaq_cell.compiled import inlined
+from deltaq_cell.compiled import makes_no_array
 from deltaq_protocol.arrays import Array, Bytes, Indices
 
 _MOST_DIGITS = 15
@@ -45,7 +45,7 @@ class ExpectedTelegram(NamedTuple):
         return cls(np.frombuffer(text, dtype=np.uint8), starts, ends, lower, upper)
 
 
-@inlined
+@makes_no_array
 def is_expected(expected: ExpectedTelegram, datagram: Bytes, size: int) -> bool:
     """Whether a datagram is that telegram.
 
