@@ -38,7 +38,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	echo "installing into $(VENV) with $$python"; \
 	[ -x $(BIN)/python ] || "$$python" -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt hatchling editables
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
+	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt \
 	  --no-build-isolation -e '.[dev]'
 	touch $@
 

@@ -1,5 +1,6 @@
 """How far robots reach: a ball that no body leaves, whatever the joints do."""
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -13,15 +14,23 @@ from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_cell.reach import apart_m
 from deltaq_experiments.scale import plant
 
-CELLS = {name: CellModel.load(name) for name in ("lab", "dawm")}
-PROXIMITY = {name: CompiledProximity(cell) for name, cell in CELLS.items()}
 SHARES = st.lists(st.floats(0.0, 1.0), min_size=17, max_size=17).map(np.array)
+
+
+@cache
+def cell_model(name):
+    return CellModel.load(name)
+
+
+@cache
+def compiled_proximity(name):
+    return CompiledProximity(cell_model(name))
 
 
 @pytest.mark.parametrize(("cell", "robot"), [("lab", "fr"), ("lab", "gr"), ("dawm", "dawm")])
 @given(shares=SHARES)
 def test_no_corner_of_a_body_leaves_its_ball(cell, robot, shares):
-    proximity, model = PROXIMITY[cell], CELLS[cell].robots[robot]
+    proximity, model = compiled_proximity(cell), cell_model(cell).robots[robot]
     q = model.lower + shares[: model.n] * (model.upper - model.lower)
     proximity.place(robot, q, np.zeros_like(q))
     reach, (_, (first, last)) = proximity.reach[robot], proximity._ranges[robot]
@@ -37,13 +46,13 @@ def test_no_corner_of_a_body_leaves_its_ball(cell, robot, shares):
 
 
 def test_a_ball_is_not_much_larger_than_the_arm():
-    reach = PROXIMITY["lab"].reach["fr"]
+    reach = compiled_proximity("lab").reach["fr"]
     assert 1.6 < reach.radius_m(np.zeros(6)) < 2.6  # a KR 16 reaches 1.6 m to the wrist's centre
     assert not reach.slides.any()
 
 
 def test_a_prismatic_joint_adds_its_way():
-    reach = PROXIMITY["lab"].reach["gr"]
+    reach = compiled_proximity("lab").reach["gr"]
     out = np.array([0.5, 4.0, 1.0, *np.full(6, 3.0)])
     added = reach.radius_m(out) - reach.radius_m(np.zeros(9))
     assert 0.0 < added <= 5.5

@@ -17,7 +17,10 @@ LINEAR_ALGEBRA = {"dot", "vdot", "linalg"}
 def compiled_functions() -> Iterator[Any]:
     for folder in ("cell/deltaq_cell", "controllers/deltaq_controllers", "services/deltaq_services"):
         for file in sorted((ROOT / folder).rglob("*.py")):
-            for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            source = file.read_text(encoding="utf-8")
+            if not any(f"@{name}\n" in source for name in DECORATORS):
+                continue  # to parse the whole tree takes seconds
+            for node in ast.walk(ast.parse(source)):
                 if isinstance(node, ast.FunctionDef) and any(
                     isinstance(one, ast.Name) and one.id in DECORATORS for one in node.decorator_list
                 ):
