@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from closed_loop import CYCLE_S, Servo, lab, limit_violations, with_camera
@@ -15,6 +17,7 @@ from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.leader.attacking import AttackingLeader
 from deltaq_controllers.leader.scripted import ScriptedLeader
+from deltaq_controllers.surroundings.barriers import STANDING, Barriers
 from deltaq_protocol.arrays import Array
 
 
@@ -173,6 +176,32 @@ def test_what_others_need_to_brake_in_gives_way_to_the_view() -> None:
     given = attack(2.2, gains=cornered)
     assert given[80:, 0].max() < 0.6 * kept[80:, 0].max()
     assert given[:, 2].min() > 0.1, "of the distance to be kept nothing is given"
+
+
+class BarriersSeen(QpFollower):
+    """A follower that keeps the barriers of its last increment."""
+
+    def _barriers(self, *args: Any) -> Barriers:
+        self.barriers = super()._barriers(*args)
+        return self.barriers
+
+
+def test_however_far_off_its_focus_is_it_gives_up_none_of_what_the_arm_keeps_from_itself() -> None:
+    """Else the gate holds the whole arm for as long as the camera wants to turn."""
+    cell, random, close = lab(), np.random.default_rng(0), 0
+    robot, home = cell.robots["fr"], cell.robots["gr"].home
+    controller = BarriersSeen(Scene(cell, "fr", "gr"), 1.25, np.zeros(3))
+    for cycle in range(1500):
+        q = robot.lower + random.uniform(0.03, 0.97, robot.n) * (robot.upper - robot.lower)
+        controller.focus = random.uniform((-2.0, -2.0, 0.2), (2.0, 2.0, 2.0))
+        at_rest = RobotView(cycle, cycle * CYCLE_S, q, q, dq=np.zeros(robot.n))
+        controller.increment(View(at_rest, {"gr": RobotView(cycle, cycle * CYCLE_S, home, home)}))
+        barriers = controller.barriers
+        missing_m = barriers.least[barriers.kinds == STANDING].max(initial=0.0)
+        if missing_m > 0.0:
+            close += 1
+            assert controller.slack_m[STANDING] <= missing_m, "to stay where it is would leave more"
+    assert close > 100
 
 
 class Zooming(QpFollower):

@@ -75,7 +75,9 @@ QP: dict[str, GainSource] = {
     "others_brake_m_s2": GainSource(
         "m/s²", "braking distance of others", "what the scripted leader's stick asks for"
     ),
-    "barrier_price": GainSource("cost per m", _BARRIER, "above all tasks: the camera buys no slack"),
+    "barrier_price": GainSource(
+        "cost per m", _BARRIER, "above all tasks: at a tenth of it a camera that looks far off bought slack"
+    ),
     "reserve_price": GainSource("cost per m", "braking distance of others", "between barriers and angle"),
     "evasion": GainSource("m³ rad/s", "η of (12)", TRIAL),
     "evasion_range_m": GainSource("m", "ρ₀ of (12)", "that of the paper's law here"),

@@ -28,7 +28,7 @@ class QpGains(NamedTuple):
         others_share: this fraction for other robots; smaller, so that evading begins early and gently.
         reaction_s: time for which another robot is expected to keep its speed [s].
         others_brake_m_s2: deceleration that is expected of another robot [m/s^2].
-        barrier_price: cost of slack per m, on the scale of the tasks' costs.
+        barrier_price: cost of slack per m, on the scale of the tasks' costs; above what the largest error can pay.
         reserve_price: this cost for the braking distance of other robots, beyond the least distance from them.
         evasion: eta of the repulsion (12) off other robots [m^3 rad/s].
         evasion_range_m: rho_0 of (12) [m].
@@ -55,7 +55,7 @@ class QpGains(NamedTuple):
     others_share: float = 0.06
     reaction_s: float = 0.2
     others_brake_m_s2: float = 2.0
-    barrier_price: float = 1e6
+    barrier_price: float = 1e7
     reserve_price: float = 3e3
     evasion: float = 1e-2
     evasion_range_m: float = 0.3
