@@ -28,6 +28,7 @@ help: ## show this list
 install: $(INSTALLED) ## make .venv, install everything, and compile what the first start would
 	@$(MAKE) --no-print-directory --jobs=2 $(COMPILED)
 
+# what is imported is compiled then: all modules of all packages take a minute
 $(INSTALLED): pyproject.toml constraints.txt
 	@python=$$(for name in python3.11 python3.12 python3.13 python3 python; do \
 	  "$$name" -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null \

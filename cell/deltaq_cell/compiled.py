@@ -37,12 +37,13 @@ def compiled(function: Function) -> Function:
 
 
 def inlined(function: Function) -> Function:
-    """Decorate a function that makes and returns no array, and becomes part of every compiled function that calls it.
+    """Decorate a function that makes no array, and becomes part of every compiled function that calls it.
 
     For short functions of named tuples: to hand over some thirty arrays costs several times what such a function does.
-    LLVM puts it in place. numba can as well, but copies all that it has put there before, so that a chain of such
-    functions takes minutes. Called from Python it stays Python.
+    Whoever calls one that returns arrays in a named tuple must make none, either: nobody counts that tuple as a user.
+    Called from Python it stays Python.
     """
+    # LLVM puts it in place; numba could, but copies whatever it has put there before: a chain of them takes minutes
     no_entry = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     jitable = register_jitable(error_model="numpy", forceinline=True, _nrt=False, **no_entry)
     return cast(Function, jitable(function))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numba.core.errors import NumbaError
 
-from deltaq_cell.compiled import compiled, makes_no_array
+from deltaq_cell.compiled import compiled, inlined, makes_no_array
 from deltaq_cell.machine_code import folder_of, package_of
 
 LAW = """
@@ -179,6 +179,24 @@ def test_what_makes_no_array_counts_no_users_and_what_makes_one_is_refused(
     assert compiled(zeros)(3) == 0.0
     with pytest.raises(NumbaError, match="array passed into the function"):
         makes_no_array(zeros)(3)
+
+
+def test_what_is_inlined_takes_no_liberties_makes_no_array_and_stays_python(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("deltaq_cell.compiled._folder", lambda _module: "")
+
+    def left(a: float, b: float) -> float:
+        return (a + b) - a
+
+    def zeros(count: int) -> float:
+        return float(np.zeros(count)[0])
+
+    assert inlined(left) is left
+    assert compiled(lambda a, b: left(a, b))(1e16, 1.0) == left(1e16, 1.0) == 0.0
+    assert inlined(zeros)(3) == 0.0
+    with pytest.raises(NumbaError, match="array passed into the function"):
+        makes_no_array(lambda count: zeros(count))(3)
 
 
 def test_where_nothing_can_be_written_to_nothing_is_kept(tmp_path: Path) -> None:
