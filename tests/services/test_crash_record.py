@@ -3,8 +3,10 @@
 import math
 import mmap
 import struct
+import zlib
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from crash_bench import PEER, RECORDS, CrashSide, sealed
 from hypothesis import given
@@ -12,6 +14,7 @@ from hypothesis import strategies as st
 
 from deltaq_services.robot_server.crash_brake.memory import CrashMemory
 from deltaq_services.robot_server.crash_brake.record import SENT, CrashRecord, CrashRecords
+from deltaq_services.robot_server.last_steps import continued_checksum
 
 numbers = st.floats(allow_nan=False, allow_infinity=False, width=64)
 
@@ -133,20 +136,26 @@ def test_two_records_lie_apart_in_whole_words_and_the_number_that_was_sent_behin
     assert layout.newest(bytes(memory)) == (record, PEER, 0.5, True)
 
 
-@pytest.mark.parametrize("begun", [None, (1, PEER), (2, PEER), (1, ("10.0.0.9", 7))])
-def test_a_record_is_the_same_whatever_was_begun_before(begun):
+@pytest.mark.parametrize("opened", [None, (1, PEER), (2, PEER), (1, ("10.0.0.9", 7))])
+def test_a_record_is_the_same_whatever_was_opened_before(opened):
     bodies = [LAYOUT.body(replace(some(), ipoc=ipoc)) for ipoc in (1, 2, 3)]
     with mmap.mmap(-1, CrashMemory.bytes_for(LAYOUT)) as file:
         memory = CrashMemory(file, LAYOUT)
         memory.write(bodies[0], PEER, 0.5)
-        if begun is not None:
-            memory.begin(bodies[begun[0]], begun[1])
+        if opened is not None:
+            memory.open(bodies[opened[0]], opened[1])
         memory.write(bodies[1], PEER, 1.0)
         memory.sent()
-        memory.begin(bodies[1], PEER)
+        memory.open(bodies[1], PEER)
         assert file[: LAYOUT.total] == bytes(left(bodies[:2]))
         memory.write(bodies[1], PEER, 1.5)
         memory.write(bodies[1], PEER, 2.0)
         memory.sent()
         assert file[: LAYOUT.total] == bytes(left([*bodies[:2], bodies[1], bodies[1]]))
         memory.close()
+
+
+@given(st.binary(max_size=40), st.binary(max_size=40))
+def test_machine_code_sums_up_what_follows_as_zlib_does(begins, follows):
+    checksum = continued_checksum(zlib.crc32(begins), np.frombuffer(follows, dtype=np.uint8))
+    assert checksum == zlib.crc32(begins + follows)

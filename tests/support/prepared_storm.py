@@ -16,6 +16,7 @@ from deltaq_protocol.rsi import KrcCodec, TelegramError, load_ethernet_xml
 from deltaq_protocol.rsi.krc_codec import MAX_PRECISION
 from deltaq_services.robot_server.expected_telegram import is_expected
 from deltaq_services.robot_server.krc_file import preparation
+from deltaq_services.robot_server.last_steps import allows
 from deltaq_services.robot_server.mode_probe import ADRIFT
 from deltaq_services.robot_server.probe_trial import pulse_sums
 
@@ -61,6 +62,11 @@ class DecidedKrcSide(KrcSide):
         return answer
 
 
+def lets_pass(bounds, correction):
+    """What machine code says of a correction right before its reply is sent."""
+    return allows(np.array(correction), np.array(bounds.lower), np.array(bounds.upper))
+
+
 class PreparedKrcSide(DecidedKrcSide):
     """A reply is prepared before every telegram, and sent if it is for that telegram.
 
@@ -79,7 +85,8 @@ class PreparedKrcSide(DecidedKrcSide):
         is_prompt = (
             prepared is not None
             and is_expected(prepared.telegram, np.frombuffer(datagram, dtype=np.uint8), len(datagram))
-            and self.driver.allows(prepared.correction)
+            and self.driver.bounds is not None
+            and lets_pass(self.driver.bounds, prepared.correction)
         )
         self.newest = b""
         cycle = self.server._cycle

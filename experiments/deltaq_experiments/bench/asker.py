@@ -20,7 +20,7 @@ from typing import Never
 _LENGTH = struct.Struct("=I")
 _ROW = struct.Struct("=2q")
 _DATAGRAM_BYTES = 65_536
-_ECHO_PRIORITY, _ASKER_PRIORITY = 20, 30
+_ECHO_PRIORITY, _ASKER_PRIORITY = 29, 30
 
 
 def main(cycle_ns: int, server: tuple[str, int], telegrams: Path, file: Path) -> None:
@@ -34,7 +34,7 @@ def main(cycle_ns: int, server: tuple[str, int], telegrams: Path, file: Path) ->
         rows = []
         due_ns = time.monotonic_ns()
         for telegram in framed(telegrams.read_bytes()):
-            first = _asked(to_server, server, telegram, due_ns + cycle_ns // 2)
+            first = _asked(to_server, server, telegram, due_ns + cycle_ns // 4 * 3)
             due_ns += cycle_ns
             rows.append(_ROW.pack(first, _asked(to_echo, of_echo.getsockname(), telegram, due_ns)))
         file.write_bytes(b"".join(rows))

@@ -28,6 +28,7 @@ from deltaq_protocol import topics
 from deltaq_protocol.codec import pack, unpack
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.guarded import Admission, ServerState, Supervision
+from deltaq_protocol.real_time import SchedulingPriority, ask_for_real_time
 from deltaq_protocol.sayings import SIM
 from deltaq_protocol.session import declare_publisher, open_session
 from deltaq_services.guarded_key import guarded_seal
@@ -113,10 +114,22 @@ def _on_one_core() -> Iterator[None]:
 
 
 @contextmanager
+def _at_priority(priority: SchedulingPriority) -> Iterator[None]:
+    """Threads that are started inside have a real-time priority, where the system allows it."""
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    ask_for_real_time(priority)
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, *before)
+
+
+@contextmanager
 def _gate(cell: CellDescription) -> Iterator[None]:
-    """Answers each state of the robot with a heartbeat and an admission."""
+    """Answers each state of the robot with a heartbeat and an admission, as early as the gate would."""
     endpoint = cell.robots[ROBOT].server
-    session = open_session(connect=[endpoint], must_connect=True)
+    with _at_priority(SchedulingPriority.SIM):
+        session = open_session(connect=[endpoint], must_connect=True)
     seal, identity = guarded_seal(cell, SIM), str(content_identity(cell))
     state_key = topics.SERVER_STATE.key(cell.cell, robot=ROBOT)
     keys = {row: row.key(cell.cell, robot=ROBOT) for row in (topics.SUPERVISION, topics.ADMISSION)}

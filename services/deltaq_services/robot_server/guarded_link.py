@@ -1,10 +1,12 @@
-"""The Robot Server's end of the guarded realm: ring channels in, publishers out, no Python callback."""
+"""The Robot Server's end of the guarded realm: ring channels in, publishers out."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
 from typing import Any, TypeVar
+
+import zenoh
 
 from deltaq_cell.description import CellDescription
 from deltaq_cell.identity import content_identity
@@ -22,6 +24,7 @@ from deltaq_services.greeter import Greeter
 from deltaq_services.guarded_key import guarded_seal
 from deltaq_services.guarded_session import open_guarded_session
 from deltaq_services.pace import Pace
+from deltaq_services.robot_server.arrivals import Arrivals
 from deltaq_services.robot_server.cycle_stamps import CycleStamps
 
 M = TypeVar("M", bound=Message)
@@ -31,25 +34,6 @@ _WAITING = 32
 forged ones would keep it from being heard. All that wait are opened before the reply, so that there must be few."""
 
 _GREETING = Greeting.__name__.lower()
-
-
-class _Waiting:
-    """Samples of one key that wait to be read, in zenoh's own memory."""
-
-    def __init__(self, session: Any, key: str) -> None:
-        self._subscriber = subscribe_newest(session, key, _WAITING)
-        self._first: Any = None
-
-    def has_come(self) -> bool:
-        """Whether there is one."""
-        if self._first is None:
-            self._first = self._subscriber.try_recv()
-        return self._first is not None
-
-    def take(self) -> Any:
-        """The oldest; None if there is none."""
-        first, self._first = self._first, None
-        return self._subscriber.try_recv() if first is None else first
 
 
 class GuardedLink:
@@ -76,9 +60,11 @@ class GuardedLink:
         )
         admission_key = topics.ADMISSION.key(cell.cell, robot=robot)
         supervision_key = topics.SUPERVISION.key(cell.cell, robot=robot)
-        self._admissions = _Waiting(self._session, admission_key)
-        self._supervisions = _Waiting(self._session, supervision_key)
-        self._greetings = _Waiting(self._session, topics.GREETING.key(cell.cell))
+        self._from_gate = admission_key, supervision_key
+        self._admissions = subscribe_newest(self._session, admission_key, _WAITING)
+        self._supervisions = subscribe_newest(self._session, supervision_key, _WAITING)
+        self._greetings = subscribe_newest(self._session, topics.GREETING.key(cell.cell), _WAITING)
+        self._telling: list[Any] = []
         self._state = self._publisher(topics.SERVER_STATE, cell.cell, robot=robot)
         self._health = self._publisher(topics.HEALTH, cell.cell, service=self._service)
         greeting = self._publisher(topics.GREETING, cell.cell, service=self._service)
@@ -100,9 +86,12 @@ class GuardedLink:
         received = self._received(self._supervisions, Supervision)
         return received[-1] if received else None
 
-    def has_come(self) -> bool:
-        """Whether `admissions` or `supervision` has something to read."""
-        return self._admissions.has_come() or self._supervisions.has_come()
+    def tell_arrivals(self) -> Arrivals:
+        """Tells from now on what comes for `admissions` and `supervision`; costs a call of Python a message."""
+        arrivals = Arrivals()
+        came: Any = zenoh.handlers.Callback(lambda _: arrivals.one(), indirect=False)
+        self._telling = [self._session.declare_subscriber(key, came) for key in self._from_gate]
+        return arrivals
 
     def publish(self, state: ServerState | None, time_s: float, detail: Callable[[], str] = str) -> None:
         """Publish the state, and at the pace of the table of topics a heartbeat, for which alone `detail` is asked."""
@@ -131,11 +120,11 @@ class GuardedLink:
     def _publisher(self, topic: Topic, cell: str, **fields: str) -> Any:
         return declare_publisher(self._session, topic.key(cell, **fields), self._seal, topic.priority)
 
-    def _received(self, waiting: _Waiting, message_type: type[M]) -> list[M]:
+    def _received(self, waiting: Any, message_type: type[M]) -> list[M]:
         name = message_type.__name__.lower()
         received: list[M] = []
         for _ in range(_WAITING):  # no more: others may send faster than they are read
-            sample = waiting.take()
+            sample = waiting.try_recv()
             if sample is None:
                 break
             try:
@@ -153,7 +142,7 @@ class GuardedLink:
     def _exchange_greetings(self, time_s: float) -> None:
         """Greet who does not know this process, and learn of those who greet: after the reply, since it can wait."""
         for _ in range(_WAITING):
-            sample = self._greetings.take()
+            sample = self._greetings.try_recv()
             if sample is None:
                 break
             try:

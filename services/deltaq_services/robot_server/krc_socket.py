@@ -6,10 +6,9 @@ import errno
 import logging
 import select
 import socket
-import struct
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import chain
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
@@ -19,19 +18,24 @@ from deltaq_protocol.endpoint import Address
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_protocol.rsi import TelegramError
 from deltaq_protocol.rsi.sensor_codec import MAX_TELEGRAM_BYTES
+from deltaq_services.robot_server.arrivals import Arrivals
 from deltaq_services.robot_server.crash_brake.watch import CrashWatch
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.peer import DatagramSource, Peer
-from deltaq_services.robot_server.prepared_reply import Arrival, PreparedReply
+from deltaq_services.robot_server.prepared_reply import PreparedReply, TelegramOutcome
+from deltaq_services.robot_server.reply_guard import NO_BOUNDS
 from deltaq_services.robot_server.rsi_driver import RsiDriver
 
 if TYPE_CHECKING:  # loads numba, which takes long, and which only those need who prepare replies
-    from deltaq_services.robot_server.telegram_wait import TelegramWait
+    from deltaq_services.robot_server.telegram_answer import TelegramAnswer
 
 _log = logging.getLogger(__name__)
 
 _DATAGRAM_BYTES = MAX_TELEGRAM_BYTES + 1
 """Read of a datagram: enough to see that it is too long."""
+
+_WARM_S = 0.0003
+"""Before a telegram is due, its answer is rehearsed: longer than that takes, and short for what is in caches."""
 
 _LOOK_S = 0.02
 """Between two tries to have an address that is taken."""
@@ -76,7 +80,7 @@ class KrcSocket:
         self._counters = counters
         self.newest, self.came_s = b"", 0.0
         self.watch: CrashWatch | None = None
-        self._telegram_wait: TelegramWait | None = None
+        self._telegram_answer: TelegramAnswer | None = None
         self._sock = _bound(driver, patience_s)
         self._sender: Address | None = None
         self._taken: tuple[bytes, Address] | None = None
@@ -94,11 +98,15 @@ class KrcSocket:
         """The socket itself, for the process that answers the KRC after this one."""
         return self._sock
 
-    def prepare_to_answer(self) -> None:
-        """Get ready for `answer`; loads, or makes, machine code."""
-        from deltaq_services.robot_server.telegram_wait import TelegramWait
+    def prepare_to_answer(self, arrivals: Arrivals) -> None:
+        """Get ready for `answer`; loads, or makes, machine code.
 
-        self._telegram_wait = TelegramWait(self._sock, _DATAGRAM_BYTES)
+        Args:
+            arrivals: of the gate's messages, each of which makes a prepared reply void.
+        """
+        from deltaq_services.robot_server.telegram_answer import TelegramAnswer
+
+        self._telegram_answer = TelegramAnswer(self._sock, _DATAGRAM_BYTES, arrivals)
 
     def wait(self, seconds: float) -> bool:
         """Wait so long for a datagram; whether there is one."""
@@ -112,44 +120,38 @@ class KrcSocket:
         watch = "" if self.watch is None else self.watch.detail
         return "; ".join(filter(None, (watch, self._rsi.detail, self.peer.stranger, ipoc)))
 
-    def answer(self, prepared: PreparedReply, is_void: Callable[[], bool], seconds: float) -> bool:
+    def answer(self, prepared: PreparedReply, due_in_s: float, seconds: float) -> TelegramOutcome:
         """Wait for a datagram, and answer it if it is the telegram that a reply was prepared for.
 
-        It has to be alone, and of the KRC that is believed. What is taken from the socket is left to `read`, whether it
-        was answered or not. `prepare_to_answer` comes first.
+        It has to be alone, and of the KRC that is believed, and nothing may have come from the gate since. What is
+        taken from the socket is left to `read`, whether it was answered or not. `prepare_to_answer` comes first.
 
         Args:
             prepared: the reply.
-            is_void: asked when the datagram has come; whether the reply must not be sent any more.
+            due_in_s: when the telegram is expected.
             seconds: to wait.
-
-        Returns:
-            Whether it was answered; False too if none came.
         """
-        wait, peer = self._telegram_wait, self.peer.address
-        assert wait is not None  # there is one where replies are prepared
+        telegrams, peer, bounds = self._telegram_answer, self.peer.address, self._rsi.bounds
+        assert telegrams is not None  # there is one where replies are prepared
         assert peer is not None  # and a KRC that was answered before
-        self._sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _timeval(seconds))
-        arrival = wait.next(prepared.telegram, peer)
-        self.came_s = time.monotonic()
-        is_answered = arrival is Arrival.EXPECTED and not is_void() and self._rsi.allows(prepared.correction)
-        if is_answered:
-            self._sender = peer
-            self.send_setpoint(prepared.reply, prepared.record)
-        if arrival is Arrival.ERROR:
-            self._counters["socket_errors"] += 1
-        elif arrival is not Arrival.NOTHING:
-            self._taken = wait.taken()
-        return is_answered
-
-    def rehearse(self, prepared: PreparedReply) -> None:
-        """Do what `answer` does, on the telegram read last and without an answer: caches are warm right after."""
-        assert self._telegram_wait is not None  # there is one where replies are prepared
-        assert self._sender is not None  # a reply is prepared after another
-        self._telegram_wait.rehearse(prepared.telegram, self.newest, self._sender)
-        self._rsi.allows(prepared.correction)
+        record = None
         if self.watch is not None:
-            self.watch.begin(prepared.record, self._sender)
+            assert prepared.record is not None  # where records are left no reply is prepared without one
+            record = self.watch.open(prepared.record, peer)
+        outcome = telegrams.next(
+            prepared, bounds or NO_BOUNDS, record, peer, due_in_s - _WARM_S, max(seconds, 0.0)
+        )
+        self.came_s = telegrams.came_s
+        if outcome.is_answer:
+            self._sender = peer
+            self._counters["replies_unsent"] += outcome is TelegramOutcome.UNSENT
+            if self.watch is not None:
+                self.watch.written()
+        if outcome.is_answer or outcome is TelegramOutcome.OTHER:
+            self._taken = telegrams.taken()
+        elif outcome is TelegramOutcome.ERROR:
+            self._counters["socket_errors"] += 1
+        return outcome
 
     def read(self, now_s: float, alone: bool = False) -> Measurement | None:
         """Read the newest telegram among all that waits.
@@ -264,8 +266,3 @@ def _bound(driver: RsiDescription, patience_s: float) -> socket.socket:
                 "is another Robot Server running, or the address not this machine's?"
             ) from error
         return sock
-
-
-def _timeval(seconds: float) -> bytes:
-    """A time to wait as the kernel takes it; none at all would be for ever."""
-    return struct.pack("@ll", *divmod(max(1, round(seconds * 1e6)), 1_000_000))

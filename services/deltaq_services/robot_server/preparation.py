@@ -107,6 +107,8 @@ class Preparation:
             motion = self._ahead.motion
             left = self._records.record(datagram, ipoc, correction, setpoint.outputs, motion)
             record = self._records.body(left)
+            if record is None:
+                return None
         expected = telegrams.with_ipoc(datagram, ipoc)
         telegram = ExpectedTelegram.of(expected, places, *self._told_within(lower, upper))
         return PreparedReply(telegram, correction, reply, record)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:  # loads numba, which takes long, and which only those need wh
     from deltaq_services.robot_server.expected_telegram import ExpectedTelegram
 
 
-class Arrival(IntEnum):
+class TelegramOutcome(IntEnum):
     """How a wait for the telegram ended."""
 
     NOTHING = 0
@@ -22,9 +22,18 @@ class Arrival(IntEnum):
     ERROR = 1
     """The socket had an error: an earlier reply found nobody there."""
     OTHER = 2
-    """A datagram that is not what was expected."""
-    EXPECTED = 3
-    """The telegram that was expected, from its sender, and nothing behind it."""
+    """A datagram that has no prepared reply."""
+    ANSWERED = 3
+    """The telegram that was expected, from its sender, and nothing behind it; its reply was sent."""
+    UNSENT = 4
+    """The same, but the network did not take the reply."""
+    NEWS = 5
+    """No datagram, but the gate has said something."""
+
+    @property
+    def is_answer(self) -> bool:
+        """Whether the telegram was answered, as far as that lies with this process."""
+        return self in (TelegramOutcome.ANSWERED, TelegramOutcome.UNSENT)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

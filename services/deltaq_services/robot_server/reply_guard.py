@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from operator import le
 from typing import Literal
 
 _SLACK = 1.0 + 1e-6
@@ -64,7 +63,7 @@ def reply_fault(
 
 @dataclass(frozen=True, slots=True)
 class ReplyBounds:
-    """The same check of a correction whose bounds were worked out before it is sent.
+    """The same check of a correction whose bounds were worked out before it is sent; see `last_steps`.
 
     Attributes:
         lower, upper: (n,) between which it may be sent [rad or m].
@@ -84,8 +83,6 @@ class ReplyBounds:
             tuple([min(q + far * _SLACK, max(high, q) + _ROUNDING) for q, far, _, high in joints]),
         )
 
-    def allow(self, correction: Sequence[float]) -> bool:
-        """Whether a correction (n,) may be sent; what is no number may not."""
-        if not len(correction) == len(self.lower) == len(self.upper):
-            return False
-        return all(map(le, self.lower, correction)) and all(map(le, correction, self.upper))
+
+NO_BOUNDS = ReplyBounds((), ())
+"""They allow no correction."""

@@ -164,11 +164,12 @@ class RsiDriver:
         self._bounds = self._sent, ReplyBounds.of(sent, self._most, self._lower, self._upper)
         return self._codec.encode(ipoc, correction, outputs, stop=stop), tuple(values)
 
-    def allows(self, correction: tuple[float, ...]) -> bool:
-        """The guard's word on a correction (n,) [rad or m] that was got ready with `ahead`, right before it is sent."""
+    @property
+    def bounds(self) -> ReplyBounds | None:
+        """The guard's, of the correction that was got ready with `ahead`; None if another was sent since."""
         if self._bounds is None or self._bounds[0] is not self._sent:
-            return False  # another was sent since
-        return self._bounds[1].allow(correction)
+            return None
+        return self._bounds[1]
 
     def sent_instead(self, correction: tuple[float, ...]) -> None:
         """The KRC was sent this correction (n,) [rad or m], whatever was decided since."""

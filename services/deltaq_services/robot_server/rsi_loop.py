@@ -2,7 +2,8 @@
 
 One thread, and one cycle of it:
 
-1. A little before the telegram is due, take what has come from the gate and prepare the reply, where the cell wants it.
+1. In the middle of the cycle take what has come from the gate and prepare the reply, where the cell wants it; and anew
+   whenever more comes.
 2. When the telegram comes, send that reply if it is the telegram that was expected and nothing has come since.
 3. Decide on the telegram. This is the decision that counts; where nothing was sent in 2, send its reply now.
 4. Publish.
@@ -24,39 +25,17 @@ from deltaq_services.robot_server.ending import Ending
 from deltaq_services.robot_server.guarded_link import GuardedLink
 from deltaq_services.robot_server.krc_socket import KrcSocket
 from deltaq_services.robot_server.measurement import Measurement
-from deltaq_services.robot_server.prepared_reply import PreparedReply
+from deltaq_services.robot_server.prepared_reply import PreparedReply, TelegramOutcome
 from deltaq_services.robot_server.rsi_driver import RsiDriver
 
 if TYPE_CHECKING:  # loads numba, which takes long, and which only those need who prepare replies
     from deltaq_services.robot_server.preparation import Preparation
 
-_MARGIN_S = 0.0003
-"""To fall asleep again before the telegram: it would wait for a preparation that is not done."""
+_FROM = 0.5
+"""Share of a cycle after which a reply is prepared. Most of what the gate says in a cycle has come by then."""
 
-_NEWEST = 0.05
-"""Share of the newest preparation in what one usually takes."""
-
-
-class Lead:
-    """How long before a telegram is due its reply is prepared: as late as may be, since what comes after is not in it.
-
-    Args:
-        cycle_s: sample time.
-    """
-
-    def __init__(self, cycle_s: float) -> None:
-        self._usual_s = 0.0
-        self._cycle_s = cycle_s
-
-    @property
-    def seconds(self) -> float:
-        """At most half a cycle: what comes from the gate within it makes a prepared reply void."""
-        return min(1.5 * self._usual_s + _MARGIN_S, 0.5 * self._cycle_s)
-
-    def took(self, seconds: float) -> None:
-        """A preparation has taken so long."""
-        share = _NEWEST if self._usual_s else 1.0
-        self._usual_s += share * (seconds - self._usual_s)
+_MOST_PREPARED = 3
+"""Preparations of one reply, since what the gate says makes one void; with no bound a flood would keep a core busy."""
 
 
 class RsiLoop:
@@ -88,12 +67,13 @@ class RsiLoop:
     ) -> None:
         self._server, self._rsi, self._krc = server, rsi, krc
         self._link, self._ending, self._preparation = link, ending, preparation
-        if preparation is not None:
-            krc.prepare_to_answer()
+        self._arrivals = None if preparation is None else link.tell_arrivals()
+        if self._arrivals is not None:
+            krc.prepare_to_answer(self._arrivals)
         self._cycle_s, self._silence_s, self._records = cycle_s, silence_s, records
-        self._lead = Lead(cycle_s)
         self._silent_s = 0.0
-        self._prepare_s = math.inf
+        self._prepare_s = self._due_s = math.inf
+        self._preparations = 0
         self._prepared: PreparedReply | None = None
 
     def run(self) -> None:
@@ -111,20 +91,21 @@ class RsiLoop:
                 self._read(now_s)
 
     def _prepare(self, preparation: Preparation, now_s: float) -> None:
-        """Prepare the reply, once a cycle: whoever looks again and again takes the processor from those who command."""
+        """Prepare the reply."""
         self._prepare_s = math.inf
+        self._preparations += 1
         self._hear(now_s)
         self._prepared = preparation.after(self._krc.newest, self._ending.stop, now_s)
-        if self._prepared is not None:
-            self._krc.rehearse(self._prepared)
-        self._lead.took(time.monotonic() - now_s)
 
     def _answer(self, prepared: PreparedReply) -> None:
         """Wait for the telegram, if it is not there, and answer it with the prepared reply, if it is the one."""
-        left_s = self._silent_s - time.monotonic()
-        is_answered = self._krc.answer(prepared, self._link.has_come, left_s)
-        self._prepared = None
-        self._read(self._krc.came_s, prepared if is_answered else None)
+        now_s, self._prepared = time.monotonic(), None
+        outcome = self._krc.answer(prepared, self._due_s - now_s, self._silent_s - now_s)
+        if outcome is TelegramOutcome.NEWS:
+            if self._preparations < _MOST_PREPARED:
+                self._prepare_s = self._krc.came_s
+        else:
+            self._read(self._krc.came_s, prepared if outcome.is_answer else None)
 
     def _read(self, now_s: float, sent: PreparedReply | None = None) -> None:
         """A datagram has come, to which a prepared reply was sent or none; or the KRC is silent."""
@@ -138,7 +119,8 @@ class RsiLoop:
             )
             self._ending.cycle_passed()
             if self._preparation is not None:
-                self._prepare_s = now_s + self._cycle_s - self._lead.seconds
+                self._preparations = 0
+                self._prepare_s, self._due_s = now_s + _FROM * self._cycle_s, now_s + self._cycle_s
             return
         if sent is not None:
             self._disagree(sent)
@@ -156,6 +138,8 @@ class RsiLoop:
 
     def _hear(self, now_s: float) -> None:
         """Hand the core what has come from the gate."""
+        if self._arrivals is not None:
+            self._arrivals.hear()
         messages: list[Admission | Supervision] = [*self._link.admissions()]
         supervision = self._link.supervision()
         if supervision is not None:
