@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+import socket
+import threading
+from pathlib import Path
+
 import pytest
+from certificate import certificate
 from served import Server
 from small_cell import small_cell
 
 from deltaq_launch.line_stop import stop_over_a_line
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    return certificate(tmp_path_factory.mktemp("certificate"))
 
 
 def test_where_nobody_listens_it_is_said() -> None:
@@ -22,3 +32,40 @@ def test_it_is_obeyed_and_confirmed_or_said_not_to_be() -> None:
         server.peer.obeys = False
         with pytest.raises(RefusedError, match="did not answer"):
             stop_over_a_line(server.description)
+
+
+@pytest.mark.parametrize("is_known", [True, False])
+def test_encrypted_lines_take_it_from_who_knows_their_certificate_and_from_who_does_not(
+    files: dict[str, str], is_known: bool
+) -> None:
+    with Server(encrypted=files) as server:
+        assert stop_over_a_line(server.description, files if is_known else {}).what == "stop"
+        assert server.peer.commands.get_nowait().kind == "stop"
+
+
+def test_who_knows_the_certificate_asks_nobody_with_another_one(
+    files: dict[str, str], tmp_path: Path
+) -> None:
+    with Server(encrypted=certificate(tmp_path)) as server:
+        with pytest.raises(ServiceUnreachableError, match="certificate"):
+            stop_over_a_line(server.description, files)
+        assert server.peer.commands.empty()
+
+
+def test_who_says_nothing_and_ends_is_asked_in_the_clear_and_encrypted_and_no_more() -> None:
+    asked = []
+    with socket.create_server(("127.0.0.1", 0)) as deaf:
+
+        def end_twice() -> None:
+            for _ in range(2):
+                connection, _ = deaf.accept()
+                asked.append(connection.recv(4096)[:1])
+                connection.close()
+
+        ends = threading.Thread(target=end_twice)
+        ends.start()
+        cell = small_cell(tcp_port=deaf.getsockname()[1])
+        with pytest.raises(ServiceUnreachableError):
+            stop_over_a_line(cell, {})
+        ends.join()
+    assert asked == [b"{", b"\x16"]  # a line, and a record of a handshake

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import threading
+from collections.abc import Mapping
 from typing import Any
 
 from guarded_peer import GuardedPeer, guarded_peer
 from small_cell import small_cell, told, tool_pose
 
 from deltaq_services.hli.client_roles import ClientRoles
+from deltaq_services.hli.line_encryption import line_encryption
 from deltaq_services.hli.shell import Hli
 
 
@@ -19,6 +21,7 @@ class Server:
     Args:
         operator_token: as `ClientRoles` takes it.
         controller_token: the same.
+        encrypted: the environment of `line_encryption`, if lines are to be encrypted.
         changes: to the description of the small cell.
 
     Attributes:
@@ -29,10 +32,15 @@ class Server:
     """
 
     def __init__(
-        self, operator_token: str | None = None, controller_token: str | None = None, **changes: Any
+        self,
+        operator_token: str | None = None,
+        controller_token: str | None = None,
+        encrypted: Mapping[str, str] | None = None,
+        **changes: Any,
     ) -> None:
         self.description = small_cell(**changes)
         self._roles = ClientRoles(operator_token, controller_token)
+        self._encryption = line_encryption(self.description, encrypted or {})
         self.errors: list[dict[str, Any]] = []
         self.peer: GuardedPeer
         self.hli: Hli
@@ -55,7 +63,7 @@ class Server:
         description = self.description
         async with (
             guarded_peer(description) as self.peer,
-            Hli(description, told(description), tool_pose, self._roles) as self.hli,
+            Hli(description, told(description), tool_pose, self._roles, self._encryption) as self.hli,
         ):
             await self.peer.turn()
             cycles = asyncio.create_task(self.peer.run())

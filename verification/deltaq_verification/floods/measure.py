@@ -62,7 +62,7 @@ class FloodRow:
         states_kept: share of the states.
         stop_s: from each question for a stop to the answer that all robots are held, over a session that was there
             before [s]; None: no answer in time.
-        line_stop_s: the same over a new connection each; none where lines are encrypted, which is not measured.
+        line_stop_s: the same over a new connection each, encrypted where lines are.
     """
 
     attack: str
@@ -148,10 +148,9 @@ class _Bench:
         over_session: list[float | None] = []
         over_line: list[float | None] = []
         ways: list[tuple[list[float | None], Callable[[], object]]] = [
-            (over_session, lambda: self._running.stop())
+            (over_session, lambda: self._running.stop()),
+            (over_line, lambda: stop_over_a_line(self._cell)),
         ]
-        if not attack.encrypted:
-            ways.append((over_line, lambda: stop_over_a_line(self._cell)))
         for _ in range(stops):
             for took, stop in ways:
                 if not attack.stops:
