@@ -306,6 +306,16 @@ def test_machine_code_leaves_the_record_that_python_would_leave(recording):
     assert memory.newest() == by_machine._replace(time_s=bench.server.came_s)
 
 
+def test_nothing_is_prepared_of_which_no_record_can_be_left(bench):
+    records = CrashRecordMaker(crash_plan(CELL, "fr", XML), bench.rsi, tuple(FR.driver.outputs))
+    assert expected(bench, records).record is not None
+    server = RobotServer(CELL, "fr", process=1)
+    server.take(Measurement(1036, FR.home, FR.home), 0.036)
+    records.body = lambda _: None  # as of a number that does not fit into it
+    prepares = preparation(preparing(), server, bench.rsi, XML, records)
+    assert prepares.after(bench.server.newest, False, 0.04) is None
+
+
 def test_a_telegram_that_is_not_answered_leaves_no_record_nor_does_a_rehearsal(recording):
     bench, prepared, memory = recording
     assert bench.server.answer(prepared, 0.0, 0.001) is TelegramOutcome.NOTHING

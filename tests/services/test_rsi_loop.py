@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import socket
 import threading
@@ -135,6 +136,31 @@ def test_what_the_gate_says_after_the_preparation_is_heard_before_the_answer(rig
     assert f"<IPOC>{rig.ipoc}</IPOC>".encode() in rig.krc.recv(4096)
     assert rig.server.counters["prepared_replies"] == 0
     assert rig.server.counters.keys() & {"forged_admission", "forged_supervision"}
+    rig.loop._prepare(rig.loop._preparation, rig.now_s)
+    rig.send()
+    rig.loop._answer(rig.loop._prepared)
+    rig.krc.recv(4096)
+    assert rig.server.counters["prepared_replies"] == 1  # it was heard, and makes no later reply void
+
+
+def test_while_the_gate_goes_on_speaking_a_reply_is_prepared_anew_and_not_for_ever(rig):
+    prepared = []
+    while rig.loop._prepare_s < math.inf:
+        rig.loop._prepare(rig.loop._preparation, rig.now_s)
+        prepared.append(rig.loop._prepared)
+        rig.loop._arrivals.one()
+        rig.loop._answer(rig.loop._prepared)
+        assert rig.loop._prepared is None
+    assert len({each.reply for each in prepared}) == 1
+    assert len(prepared) == 3
+    rig.send()
+    rig.loop._read(rig.now_s)
+    assert rig.krc.recv(4096) == prepared[0].reply
+    assert rig.loop._prepare_s < math.inf
+    rig.loop._prepare(rig.loop._preparation, rig.now_s)
+    rig.loop._arrivals.one()
+    rig.loop._answer(rig.loop._prepared)
+    assert rig.loop._prepare_s < math.inf  # in each cycle as often
 
 
 def test_a_prepared_reply_that_was_wrong_holds_the_robot_where_it_was_sent(rig):
