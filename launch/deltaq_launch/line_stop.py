@@ -12,7 +12,7 @@ from deltaq_cell.description import CellDescription
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Done, Error
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.hli.line_encryption import CERTIFICATE_FILE
+from deltaq_services.hli.line_encryption import CERTIFICATE_FILE, LineEncryptionError
 
 _DEADLINE_S = 2.0
 
@@ -31,6 +31,7 @@ def stop_over_a_line(cell: CellDescription, environment: Mapping[str, str] = os.
 
     Raises:
         RefusedError: `unreachable`, if not all have shown in time that they are held; they were told all the same.
+        LineEncryptionError: the certificate cannot be read, or is not that of who listens there.
         ServiceUnreachableError: nobody listens there, or no answer came in time.
     """
     certificate = environment.get(CERTIFICATE_FILE)
@@ -51,9 +52,14 @@ def _stopped(cell: CellDescription, certificate: str | None = None) -> Done:
                 return _asked(connection, place)
             with _encryption(certificate).wrap_socket(connection) as line:
                 return _asked(line, place)
-    except ConnectionResetError as error:
+    except ssl.SSLCertVerificationError as error:
+        raise LineEncryptionError(f"who listens on {place} has not the certificate {certificate}") from error
+    except (
+        ConnectionResetError,
+        ValueError,
+    ) as error:  # or by what is no answer, as TLS says that it is spoken there
         raise _LineEndedError(f"no stop over {place}: {error}") from error
-    except (OSError, ValueError) as error:
+    except OSError as error:
         raise ServiceUnreachableError(f"no stop over {place}: {error}") from error
 
 
@@ -61,7 +67,13 @@ def _encryption(certificate: str) -> ssl.SSLContext:
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = False  # the certificate itself is known, or nothing is
     if certificate:
-        context.load_verify_locations(certificate)
+        try:
+            context.load_verify_locations(certificate)
+        except OSError as error:
+            raise LineEncryptionError(
+                f"no certificate in {certificate}: {error}; {CERTIFICATE_FILE} names it"
+            ) from error
+        context.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN  # whoever signed it
     else:
         context.verify_mode = ssl.CERT_NONE
     return context

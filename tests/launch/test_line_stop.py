@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import subprocess
 import threading
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from small_cell import small_cell
 
 from deltaq_launch.line_stop import stop_over_a_line
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
+from deltaq_services.hli.line_encryption import CERTIFICATE_FILE, KEY_FILE, LineEncryptionError
 
 
 @pytest.fixture(scope="module")
@@ -43,16 +45,37 @@ def test_encrypted_lines_take_it_from_who_knows_their_certificate_and_from_who_d
         assert server.peer.commands.get_nowait().kind == "stop"
 
 
+def test_a_certificate_that_others_have_signed_is_known_without_theirs(tmp_path: Path) -> None:
+    curve = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-days", "2")
+    key, signed = tmp_path / "lines.key", tmp_path / "lines.pem"
+    ours, theirs = tmp_path / "authority.key", tmp_path / "authority.pem"
+    by_them = ("-CA", theirs, "-CAkey", ours)
+    for name, private, public, by in (("them", ours, theirs, ()), ("deltaq", key, signed, by_them)):
+        about = ("-subj", f"/CN={name}", "-keyout", private, "-out", public)
+        command = ["openssl", "req", "-x509", *curve, *about, *by]
+        subprocess.run(command, check=True, capture_output=True)
+    files = {CERTIFICATE_FILE: str(signed), KEY_FILE: str(key)}
+    with Server(encrypted=files) as server:
+        assert stop_over_a_line(server.description, files).what == "stop"
+
+
 def test_who_knows_the_certificate_asks_nobody_with_another_one(
     files: dict[str, str], tmp_path: Path
 ) -> None:
     with Server(encrypted=certificate(tmp_path)) as server:
-        with pytest.raises(ServiceUnreachableError, match="certificate"):
+        with pytest.raises(LineEncryptionError, match=r"has not the certificate .*\.pem"):
             stop_over_a_line(server.description, files)
+        (tmp_path / "empty.pem").touch()
+        for name in ("none.pem", "empty.pem"):
+            with pytest.raises(
+                LineEncryptionError, match=f"no certificate in .*{name}: .*; {CERTIFICATE_FILE}"
+            ):
+                stop_over_a_line(server.description, {CERTIFICATE_FILE: str(tmp_path / name)})
         assert server.peer.commands.empty()
 
 
-def test_who_says_nothing_and_ends_is_asked_in_the_clear_and_encrypted_and_no_more() -> None:
+@pytest.mark.parametrize("says", [b"", b"\x15\x03\x03\x00\x02\x02\x46"], ids=["nothing", "an alert of TLS"])
+def test_who_ends_without_an_answer_is_asked_in_the_clear_and_encrypted_and_no_more(says: bytes) -> None:
     asked = []
     with socket.create_server(("127.0.0.1", 0)) as deaf:
 
@@ -60,6 +83,7 @@ def test_who_says_nothing_and_ends_is_asked_in_the_clear_and_encrypted_and_no_mo
             for _ in range(2):
                 connection, _ = deaf.accept()
                 asked.append(connection.recv(4096)[:1])
+                connection.sendall(says)
                 connection.close()
 
         ends = threading.Thread(target=end_twice)

@@ -28,7 +28,7 @@ def allows(correction: Array, lower: Array, upper: Array) -> bool:
 
 @makes_no_array
 def continued_checksum(checksum: int, data: Bytes) -> int:
-    """CRC-32 of bytes (n,) behind others with that checksum, as of `zlib.crc32`."""
+    """CRC-32 of bytes (n,) behind others with that checksum: `zlib.crc32`, which only Python can call."""
     remainder = checksum ^ _ALL_BITS
     for byte in data:
         remainder ^= byte

@@ -224,6 +224,7 @@ def _next(
     if not _is_due(telegram, peer, ready, room):
         return TelegramOutcome.OTHER
     if ready.record.size > 0:
+        _seal(ready, room)
         # as `BegunRecord.sealed`: checksum, what was begun, time
         place = ready.place
         _memcpy(place, room.checksum.ctypes.data, room.checksum.itemsize)
@@ -255,15 +256,21 @@ def _rehearse(telegram: ExpectedTelegram, peer: Bytes, ready: _Ready, room: _Roo
     for each in range(peer.size):
         room.sender[each] = peer[each]
     _is_due(telegram, peer, ready, room)
+    _seal(ready, room)
 
 
 @makes_no_array
 def _is_due(telegram: ExpectedTelegram, peer: Bytes, ready: _Ready, room: _Room) -> bool:
-    """Whether the datagram is to be answered; seals the record, too, and asks the guard last of all."""
+    """Whether the datagram is to be answered; the guard is asked last of all."""
     for each in range(peer.size):
         if room.sender[each] != peer[each]:
             return False
     if not is_expected(telegram, room.datagram, room.size[0]) or _waited(room, 0.0) != 0:
         return False
-    room.checksum[0] = continued_checksum(ready.checksum, room.came_s.view(np.uint8))
     return allows(ready.correction, ready.lower, ready.upper)
+
+
+@makes_no_array
+def _seal(ready: _Ready, room: _Room) -> None:
+    """Sum up the record with the time at which its telegram came."""
+    room.checksum[0] = continued_checksum(ready.checksum, room.came_s.view(np.uint8))
