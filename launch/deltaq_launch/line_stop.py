@@ -54,10 +54,8 @@ def _stopped(cell: CellDescription, certificate: str | None = None) -> Done:
                 return _asked(line, place)
     except ssl.SSLCertVerificationError as error:
         raise LineEncryptionError(f"who listens on {place} has not the certificate {certificate}") from error
-    except (
-        ConnectionResetError,
-        ValueError,
-    ) as error:  # or by what is no answer, as TLS says that it is spoken there
+    except (ConnectionResetError, ValueError) as error:
+        # who speaks TLS may say so, which is no answer in the clear
         raise _LineEndedError(f"no stop over {place}: {error}") from error
     except OSError as error:
         raise ServiceUnreachableError(f"no stop over {place}: {error}") from error
@@ -70,9 +68,8 @@ def _encryption(certificate: str) -> ssl.SSLContext:
         try:
             context.load_verify_locations(certificate)
         except OSError as error:
-            raise LineEncryptionError(
-                f"no certificate in {certificate}: {error}; {CERTIFICATE_FILE} names it"
-            ) from error
+            text = f"no certificate in {certificate}: {error}; {CERTIFICATE_FILE} names it"
+            raise LineEncryptionError(text) from error
         context.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN  # whoever signed it
     else:
         context.verify_mode = ssl.CERT_NONE
