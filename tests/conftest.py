@@ -12,7 +12,7 @@ pytest_plugins = ["installed", "last_use", "pytester", "shared_cell"]
 # a change is judged by the same examples wherever it is tested; `make nightly` looks further with new ones
 # and however long the machine takes for it
 untimed = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
-settings.register_profile("repeatable", derandomize=True, **untimed)
+settings.register_profile("repeatable", derandomize=True, max_examples=50, **untimed)
 settings.register_profile("exploring", max_examples=2000, **untimed)
 settings.load_profile("repeatable")
 

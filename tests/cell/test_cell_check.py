@@ -93,6 +93,7 @@ def test_what_is_unsound_is_told_with_its_place(
     assert message in problem.message
 
 
+@pytest.mark.by_day(3)
 @pytest.mark.parametrize(("cycle", "krc", "sound"), [
     (0.012, "krc2", True), (0.024, "krc2", True), (0.004, "krc2", False), (0.018, "krc2", False),
     (0.004, "krc4", True), (0.008, "krc4", True), (0.012, "krc4", True), (0.010, "krc4", False),
@@ -188,6 +189,7 @@ KRC_FILES = [
 ]  # fmt: skip
 
 
+@pytest.mark.by_day(3)
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("file_edits", "cell_edits", "field", "value", "bound", "severity", "message"),

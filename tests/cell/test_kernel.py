@@ -84,6 +84,7 @@ def names(groups):
     return {group.pairs[0][0].name + group.pairs[0][1].name for group in groups}
 
 
+@pytest.mark.by_day(2)
 @pytest.mark.long
 @seeded(25)
 def test_a_look_finds_what_the_readable_code_finds(cell, reference, proximity, seed):
@@ -236,6 +237,7 @@ def test_what_fails_can_be_looked_at_again(cell, proximity):
     assert seen
 
 
+@pytest.mark.by_day(2)
 def test_of_bodies_in_one_another_the_deepest_is_told(reference, proximity, cell):
     random = np.random.default_rng(11)
     deep = 0

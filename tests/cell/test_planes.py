@@ -242,6 +242,7 @@ def drawn(request):
     return scene, normals, np.array([scene.rooms(pair, n) for pair, n in zip(PAIRS, normals, strict=True)])
 
 
+@pytest.mark.by_day(4)
 def test_planes_show_exactly_the_room_that_their_formulas_give(drawn):
     scene, normals, rooms = drawn
     most = rooms.max(axis=1)

@@ -53,6 +53,7 @@ def greatest_room(proximity, group):
     return low
 
 
+@pytest.mark.by_day(2)
 @pytest.mark.long
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(0, 2**32 - 1))
@@ -76,6 +77,7 @@ def test_no_sample_of_a_span_is_nearer_than_a_look_shows(cell, proximity, seed):
             assert proximity.least(group) >= group.stop_distance_m + room - 1e-6, sample
 
 
+@pytest.mark.by_day(2)
 @pytest.mark.long
 def test_planes_show_what_inflated_bodies_do_not(cell, proximity):
     """Or the test above would hold for want of anything to judge."""

@@ -112,7 +112,7 @@ def test_hands_out_of_reach_are_said_to_be_and_that_is_exit_status_1() -> None:
     assert "no configuration holds the hands there" in done.stdout
 
 
-@pytest.mark.by_day(3)
+@pytest.mark.by_day(1)
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

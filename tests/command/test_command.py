@@ -43,7 +43,7 @@ def test_an_error_has_the_exit_status_that_scripts_rely_on(error: ProtocolError,
     assert exit_status(error) == status
 
 
-@pytest.mark.by_day(2)
+@pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize(
     "arguments",
@@ -79,6 +79,7 @@ def test_a_cell_that_is_not_up_is_exit_status_3_and_one_clear_line(
     assert ".rs:" not in done.stderr  # zenoh adds where in its own source it happened
 
 
+@pytest.mark.by_day(6)
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("arguments", "told"),

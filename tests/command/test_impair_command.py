@@ -20,7 +20,7 @@ def command(*options: str) -> list[str]:
     return [PROGRAM, "fault", "impair", *options]
 
 
-@pytest.mark.by_day(2)
+@pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("options", "status", "told"),

@@ -28,7 +28,7 @@ def server() -> Iterator[Server]:
         yield running
 
 
-@pytest.mark.by_day(2)
+@pytest.mark.by_day(1)
 @pytest.mark.parametrize("verb", VERBS.values(), ids=VERBS.keys())
 def test_where_nobody_listens_one_line_says_what_to_start(verb: tuple[str, ...]) -> None:
     nowhere = endpoint()

@@ -100,6 +100,7 @@ def test_descent_never_climbs_and_ends_where_the_gradient_is_small() -> None:
     assert np.linalg.norm(reduced_gradient(task, lower_q[lower.argmin()][None])) < 1e-2
 
 
+@pytest.mark.by_day(2)
 @pytest.mark.long
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_finds_configurations_that_hold_the_hands(method: str) -> None:
@@ -273,6 +274,7 @@ def test_a_trade_off_that_is_none_is_refused() -> None:
         advise(problem(), elsewhere, generator=np.random.default_rng(0), trade_off=("travel", "speed"))
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize("joint", [0, 4], ids=["the torso", "an arm"])
 def test_a_path_from_elsewhere_moves_the_hands_and_is_clear(joint: int) -> None:
@@ -380,6 +382,7 @@ def test_progress_grows_and_tells_the_least_energy_and_the_options_so_far() -> N
     assert list(told[-1].options) == found
 
 
+@pytest.mark.by_day(2)
 @pytest.mark.long
 @pytest.mark.parametrize("method", METHODS)
 def test_hands_out_of_reach_give_no_option_and_no_error(method: str) -> None:

@@ -181,6 +181,7 @@ def test_the_robot_rests_while_the_advisor_thinks_and_the_question_is_given_up_o
     assert advisor.given_up
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("silent_cycles", "at_most_m", "at_most_deg"),

@@ -25,6 +25,7 @@ def behind(q: np.ndarray, distance_m: float) -> np.ndarray:
     return pose[:3, 3] - distance_m * pose[:3, 2]
 
 
+@pytest.mark.by_day(4)
 @pytest.mark.parametrize("q", STARTS)
 def test_from_anywhere_the_camera_turns_to_the_focus_without_looking_back(q: np.ndarray) -> None:
     follower = CameraFollower(FR, None, CYCLE_S, floor_m=None)
@@ -36,6 +37,7 @@ def test_from_anywhere_the_camera_turns_to_the_focus_without_looking_back(q: np.
     assert abs(run.distance_error_m[-1]) < 0.005
 
 
+@pytest.mark.by_day(3)
 @pytest.mark.long
 @pytest.mark.parametrize(
     "degrees", [(0, -90, 90, 0, 0, 0), (10, -110, 100, 20, 40, 10), (0, -120, 120, 0, 0, 0)]

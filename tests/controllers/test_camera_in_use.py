@@ -158,6 +158,7 @@ def test_of_two_targets_the_more_important_one_is_watched_while_it_is_seen(name:
     assert loop.violations == 0
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.parametrize("name", ["paper", "qp"])
 def test_a_target_that_is_hidden_is_left_for_the_next_and_returned_to_without_a_jump(name: str) -> None:
     loop = Loop(name, curtained()).run(0.4, BOTH)

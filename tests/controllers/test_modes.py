@@ -185,6 +185,7 @@ def test_the_criteria_of_coupled_lower_joint_travel_and_leave_the_hands_alone() 
     assert hands.error(others.rotations, others.positions) == pytest.approx(np.zeros(12), abs=1e-4)
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["manipulability", "smallest_singular_value", "condition"])
 def test_coupled_takes_any_criterion_of_the_table_and_betters_it(name: str) -> None:
@@ -270,6 +271,7 @@ def test_the_hands_stay_wherever_the_gate_brakes_a_self_motion(robot: str, joint
     assert off_rad < KEPT_RAD
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("robot", "joints"),

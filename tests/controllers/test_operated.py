@@ -320,6 +320,7 @@ def test_the_advisor_is_asked_in_its_mode_only(bench):
         bench.pilot.advise(again=True)
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("names", "told"),

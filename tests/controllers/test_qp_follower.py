@@ -83,6 +83,7 @@ def attack(duration_s: float, seed: int = 0, gains: QpGains | None = None) -> Ar
     return seen
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize(("speed_m_s", "angle_deg", "distance_m"), [(0.25, 0.5, 0.01), (1.0, 1.1, 0.08)])
 def test_the_leader_is_kept_in_view(speed_m_s: float, angle_deg: float, distance_m: float) -> None:

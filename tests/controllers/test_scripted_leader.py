@@ -27,6 +27,7 @@ def lead(leader: ScriptedLeader, duration_s: float, robot: RobotModel = GR) -> t
     return np.array(configurations), np.array(positions)
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_tool_moves_at_the_speed_given_nearly_always_and_never_faster(seed: int) -> None:

@@ -43,6 +43,7 @@ def test_with_the_focus_held_the_error_is_the_latency_as_in_the_paper() -> None:
     assert distance.max() < 0.021
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.parametrize(("speed_m_s", "at_most_deg"), [(0.5, 0.8), (1.0, 2.2)])
 def test_a_faster_leader_is_followed_as_well_as_the_errata_says(speed_m_s: float, at_most_deg: float) -> None:
     run = track(15.0, speed_m_s=speed_m_s)

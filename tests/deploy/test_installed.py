@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -70,13 +72,14 @@ def test_without_gymnasium_the_environment_says_what_to_install(bare: Installed)
     )
 
 
-def test_a_part_of_deltaq_that_is_missing_is_no_matter_of_extras(complete: Installed, tmp_path: Path) -> None:
+def test_a_part_of_deltaq_that_is_missing_is_no_matter_of_extras() -> None:
     code = "import sys; sys.modules['deltaq_command.app'] = None; import deltaq_command as c; c.main()"
-    done = complete.run("python", "-c", code)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert "ModuleNotFoundError" in done.stderr
 
 
+@pytest.mark.nightly
 def test_pytest_finds_the_plug_in_of_an_installed_wheel(complete: Installed, tmp_path: Path) -> None:
     for package in ("iniconfig", "packaging", "pluggy", "Pygments", "pytest"):
         complete.add(package)

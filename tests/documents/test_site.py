@@ -89,7 +89,7 @@ def test_an_example_has_a_page_with_its_text(site: Path) -> None:
     assert "asyncio" in page
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_no_page_loads_anything_from_elsewhere(site: Path) -> None:
     loaded = {
         "".join(match): page.name

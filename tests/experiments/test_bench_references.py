@@ -39,6 +39,7 @@ def test_without_a_compiler_the_reference_is_in_python(tmp_path: Path) -> None:
     assert program("hops", tmp_path, "no-such-compiler").language == "Python"
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.long
 @COMPILERS
 def test_a_message_passes_five_hops_in_their_order(tmp_path: Path, compiler: str | None) -> None:
@@ -82,6 +83,7 @@ def test_datagrams_keep_their_bounds_in_a_file() -> None:
     assert list(framed(frame(datagrams))) == datagrams
 
 
+@pytest.mark.by_day(1)
 @COMPILERS
 def test_the_asker_times_a_server_and_its_own_echo_and_notes_who_is_silent(
     tmp_path: Path, compiler: str | None

@@ -229,6 +229,7 @@ def test_the_pressure_of_an_attack_is_the_share_of_the_time_in_which_its_tool_mo
     assert pressing.share == pytest.approx(0.4)
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize("cell_name", CELLS)
 def test_an_attack_begins_elsewhere_with_every_seed_and_clear_of_everything(cell_name: str) -> None:

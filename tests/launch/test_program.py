@@ -67,6 +67,7 @@ def test_a_mistake_is_told_in_words(command: list[str], told: str) -> None:
     assert "Traceback" not in errors
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.parametrize(
     ("command", "status"),
     [

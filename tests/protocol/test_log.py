@@ -59,6 +59,7 @@ def test_programs_get_one_object_a_line_with_time_level_service_robot_message_an
     assert done.stderr.isascii()
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("code", "level", "message"),

@@ -107,6 +107,7 @@ FLOODS = {
 }
 
 
+@pytest.mark.by_day(2)
 @pytest.mark.long
 @pytest.mark.parametrize("name", FLOODS)
 async def test_beside_a_flood_over_zenoh_every_increment_is_judged_and_every_state_is_told(name: str) -> None:

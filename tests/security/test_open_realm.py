@@ -111,6 +111,7 @@ async def overheard(running: Running, stranger: OpenStranger) -> list[bytes]:
     return secrets_in(heard, tokens)
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.parametrize("mode", ["client", "peer", "router"])
 async def test_a_stranger_hears_no_token_no_increment_and_no_request(running: Running, mode: str) -> None:
     stranger = await running.stranger(mode)
@@ -128,6 +129,7 @@ async def test_without_the_rules_of_access_it_would(monkeypatch: pytest.MonkeyPa
         await asyncio.to_thread(stranger.close)
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.parametrize("mode", ["client", "peer", "router"])
 async def test_no_state_and_no_verdict_of_a_stranger_reaches_a_client(running: Running, mode: str) -> None:
     stranger = await running.stranger(mode)

@@ -100,6 +100,7 @@ def beside(krc=None, silence_s=WAITS_S):
                 os.close(beside.descriptor)
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV, signal.SIGABRT])
 def test_a_server_that_is_killed_leaves_a_robot_that_is_braked(number):
     with beside() as both:

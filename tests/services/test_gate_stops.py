@@ -74,6 +74,7 @@ class Attack:
         return request
 
 
+@pytest.mark.by_day(2)
 @pytest.mark.parametrize(
     ("joint", "sign"),
     [

@@ -112,6 +112,7 @@ class Day:
         return LeaseRequest(robot=robot, action=action, client="x", lease=self.token(robot), playout=playout)
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize("seed", range(3))
 def test_another_may_take_its_place_at_any_moment(seed):

@@ -11,6 +11,7 @@ from deltaq_services.robot_server.mode_probe import ADRIFT
 from deltaq_services.robot_server.probe_trial import pulse_sums
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("kind", "seed", "telegrams"),

@@ -81,6 +81,7 @@ class WatchedDriver(RsiDriver):
         return measured
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [1, 2])
 def test_in_a_storm_of_telegrams_another_may_take_its_place_at_any_moment(monkeypatch, seed):

@@ -42,6 +42,7 @@ def with_band(folder, distance_m):
     return path
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize("robot", ["fr", "gr"])
 def test_within_the_band_approach_is_slowed_in_proportion_to_the_room_and_parting_is_not(tmp_path, robot):

@@ -101,6 +101,7 @@ def test_a_program_that_ends_is_a_controller_that_is_lost(cell):
     assert cell.phase == "held"
 
 
+@pytest.mark.by_day(2)
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("command", "told"),

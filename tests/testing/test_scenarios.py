@@ -69,6 +69,7 @@ def invoke(*words):
     return CliRunner().invoke(app, ["fault", *map(str, words)])
 
 
+@pytest.mark.by_day(6)
 @pytest.mark.parametrize(
     ("before", "after", "told"),
     [
@@ -99,7 +100,7 @@ def test_a_bad_field_is_named_with_line_value_and_bound_and_nothing_is_run(folde
     assert "changed.yaml:" in str(result.exception)
 
 
-@pytest.mark.by_day(4)
+@pytest.mark.by_day(2)
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("before", "after", "told"),

@@ -20,6 +20,7 @@ def test_whatever_is_drawn_can_befall_a_cell_and_ends_in_time(faults):
     assert len(faults) <= 5
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize("cycles", [1, 7, 30])
 def test_what_fails_shrinks_to_the_one_fault_that_matters_as_early_and_as_short_as_it_may_be(cycles):

@@ -24,7 +24,7 @@ from deltaq_verification.virtual_cell.delayed_wire import DelayedWire
 from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
 from deltaq_verification.virtual_cell.parts import Link, Process
 
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.long, pytest.mark.by_day(1)]
 
 CYCLES = 150
 SLOWLY = 1e-3
@@ -117,7 +117,7 @@ def jitter(seed: int, median_s: float, sigma: float) -> Callable[[], float]:
     return lambda: median_s * math.exp(sigma * drawn.gauss(0, 1))
 
 
-@pytest.fixture(scope="module", params=[1, 2, 3])
+@pytest.fixture(scope="module", params=[2, 1, 3])
 def ahead(request: pytest.FixtureRequest) -> int:
     return int(request.param)
 

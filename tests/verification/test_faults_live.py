@@ -6,11 +6,8 @@ import subprocess
 import pytest
 from commands import PROGRAM
 
-from deltaq_cell.load import load_cell
 from deltaq_launch.private_cell import write_private_cell
-from deltaq_protocol.errors import ServiceUnreachableError
-from deltaq_verification.faults.catalogue import CATALOGUE, UnknownFaultError, fault_named
-from deltaq_verification.faults.clocks import NoCompilerError
+from deltaq_verification.faults.catalogue import CATALOGUE, fault_named
 from deltaq_verification.faults.inject import inject
 from deltaq_verification.faults.table import run_table
 
@@ -47,12 +44,6 @@ def test_an_hli_whose_clock_leaps_has_the_robot_held_though_its_sessions_broke_a
     assert row.recovery == "reset"
 
 
-def test_clocks_cannot_be_set_without_a_compiler(tmp_path, monkeypatch):
-    monkeypatch.setenv("CC", "no-such-compiler")
-    with pytest.raises(NoCompilerError, match="leave out the faults of clocks"):
-        run_table(write_private_cell(tmp_path), "fr", faults=[fault_named("wall-clock-drift")], live=True)
-
-
 @pytest.mark.nightly
 @pytest.mark.timeout(0)
 def test_no_fault_of_a_real_process_passes_a_limit_or_touches(tmp_path):
@@ -78,29 +69,3 @@ def test_a_fault_is_injected_into_a_cell_that_is_up_and_lifted_again(ready_stack
     assert (found["phase"], found["reason"]) == ("held", "krc_lost")
     again = inject(fault_named("krc-hiccup"), ready_stack.cell, "fr", 0.0)
     assert again.krc_state == "RSI running"  # nothing is cut any more
-
-
-def test_a_fault_that_no_panel_can_inject_is_refused_before_anything_is_asked():
-    with pytest.raises(UnknownFaultError, match=r"sim-dead cannot be injected .* allowed are krc-cut, "):
-        inject(fault_named("sim-dead"), load_cell("lab"), "fr", 0.0)
-
-
-@pytest.mark.parametrize(
-    ("name", "live", "way"),
-    [
-        ("sim-slow", True, "live"),
-        ("hli-clock-back", True, "live"),
-        ("hli-sim-broken", False, "virtual"),
-        ("wall-clock-back", False, "virtual"),
-        ("krc-server-cut", False, "virtual"),
-    ],
-)
-def test_a_fault_that_cannot_be_had_this_way_is_told(name, live, way):
-    with pytest.raises(UnknownFaultError, match=f"can be had .*{way}"):
-        run_table("lab", "fr", faults=[fault_named(name)], live=live)
-
-
-def test_a_cell_that_is_not_up_is_told(tmp_path):
-    description = load_cell(write_private_cell(tmp_path))
-    with pytest.raises(ServiceUnreachableError):
-        inject(fault_named("krc-hiccup"), description, "fr", 0.0)

@@ -52,6 +52,7 @@ def assert_braked_at_once_along_the_brake(row, cycle_s=0.012):
     assert row.kept.abrupt_cycles == 0
 
 
+@pytest.mark.by_day(3)
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "reason", "named_s", "recovery"),

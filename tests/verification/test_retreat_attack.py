@@ -34,6 +34,7 @@ def test_a_robot_whose_bodies_are_in_one_another_is_let_out(attack):
     assert folded.nearer_m <= TOLERANCE_M
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize("forgotten", ["between setpoints", "since it began"])
 def test_a_gate_that_forgets_what_pairs_have_to_keep_is_found_out(attack, monkeypatch, forgotten):
