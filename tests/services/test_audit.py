@@ -116,11 +116,22 @@ async def test_a_client_in_the_clear_at_an_encrypted_line_is_named(tmp_path: Pat
     async with audited(tmp_path / "audit.jsonl", encryption) as running:
         reader, writer = await asyncio.open_connection("127.0.0.1", running.port)
         client = JsonClient(reader, writer)
-        client.send(type="stop")
+        client.send(type="describe")
         await client.ended()
         refused = await running.entry("connected", "refused", code="malformed", address=address_of(client))
         assert refused["text"].startswith("no encryption was agreed on: ")
         assert running.hli.status().hli["tcp_unencrypted"] == 1
+        writer.close()
+
+
+async def test_a_stop_in_the_clear_at_an_encrypted_line_is_named_with_its_address(tmp_path: Path) -> None:
+    encryption = line_encryption(small_cell(), certificate(tmp_path))
+    async with audited(tmp_path / "audit.jsonl", encryption) as running:
+        reader, writer = await asyncio.open_connection("127.0.0.1", running.port)
+        client = JsonClient(reader, writer)
+        await client.ask("done", type="stop")
+        await running.entry("stop", "done", address=address_of(client))
+        assert "tcp_unencrypted" not in running.hli.status().hli
         writer.close()
 
 

@@ -14,7 +14,7 @@ from guarded_peer import GuardedPeer, guarded_peer
 from json_client import JsonClient
 from small_cell import small_cell, told, tool_pose
 
-from deltaq_services.hli import handshake
+from deltaq_services.hli import handshake, tcp_front
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.line_encryption import line_encryption
 from deltaq_services.hli.shell import Hli
@@ -66,18 +66,53 @@ async def test_over_tls_a_client_is_served_as_in_the_clear(files: dict[str, str]
 async def test_who_speaks_in_the_clear_to_an_encrypted_line_or_not_at_all_is_nobody(
     files: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(handshake, "HANDSHAKE_S", 0.2)
+    for module in (handshake, tcp_front):
+        monkeypatch.setattr(module, "HANDSHAKE_S", 0.2)
     async with encrypted(files) as (hli, peer):
         port = peer.cell.tcp_port
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
         with socket.create_connection(("127.0.0.1", port)):
-            writer.write(b'{"type":"stop"}\n')
+            writer.write(b'{"type":"hello","protocol":1,"client":"clear"}\n')
             await JsonClient(reader, writer).ended()
-            assert "stops" not in hli.status().hli
             assert not hli._tcp.connections
         writer.close()
         with contextlib.suppress(OSError):
             await writer.wait_closed()
+
+
+async def test_a_stop_in_the_clear_is_obeyed_and_nothing_else_that_comes_with_it(
+    files: dict[str, str],
+) -> None:
+    async with encrypted(files) as (hli, peer):
+        reader, writer = await asyncio.open_connection("127.0.0.1", peer.cell.tcp_port)
+        client = JsonClient(reader, writer)
+        writer.write(b'{"type":"hello","protocol":1,"client":"x"}\n{"type":"stop"}\n{"type":"describe"}\n')
+        assert (await client.receive("done"))["what"] == "stop"
+        assert (await peer.commands.get()).kind == "stop"
+        assert not hli._tcp.connections
+        assert await reader.read() == b""
+        writer.close()
+
+
+async def test_however_many_begin_to_agree_on_an_encryption_a_stop_in_the_clear_waits_for_none(
+    files: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tcp_front, "_HANDSHAKES_A_SECOND", 0.0)  # as if so many had been taken up already
+    begun = ssl.create_default_context().wrap_bio(
+        ssl.MemoryBIO(), first := ssl.MemoryBIO(), server_hostname="x"
+    )
+    with contextlib.suppress(ssl.SSLWantReadError):
+        begun.do_handshake()
+    hello = first.read()
+    async with encrypted(files) as (_, peer), contextlib.AsyncExitStack() as stack:
+        for _ in range(2 * MAX_WAITING):
+            _, writer = await asyncio.open_connection("127.0.0.1", peer.cell.tcp_port)
+            stack.callback(writer.close)
+            writer.write(hello)
+        reader, writer = await asyncio.open_connection("127.0.0.1", peer.cell.tcp_port)
+        stack.callback(writer.close)
+        await JsonClient(reader, writer).ask("done", type="stop")
+        assert (await peer.commands.get()).kind == "stop"
 
 
 @pytest.mark.long
@@ -120,3 +155,12 @@ def test_a_flood_from_one_address_ends_its_own_and_those_of_many_the_oldest() ->
     places.leave("stop")
     assert places.take("again", "192.0.2.1") is None
     assert places.take("one more", "192.0.2.1") not in (None, "again")
+
+
+def test_addresses_are_served_in_turns_and_of_each_the_newest_first() -> None:
+    places: WaitingPlaces[str] = WaitingPlaces()
+    for one, address in (("a1", "192.0.2.1"), ("b1", "192.0.2.2"), ("b2", "192.0.2.2"), ("b3", "192.0.2.2")):
+        places.take(one, address)
+    assert list(places) == ["b3", "a1", "b2", "b1"]
+    places.leave("b3")
+    assert list(places) == ["b2", "a1", "b1"]

@@ -35,15 +35,22 @@ class Taken(asyncio.Protocol):
 class Bench:
     """Who listens, who has been taken up, and who connects."""
 
-    def __init__(self, is_encrypted: bool = False) -> None:
+    per_second = 256.0
+
+    def __init__(self) -> None:
         self.port = free_ports(1)[0]
         self.counters: Counter[str] = Counter()
         self.ports: list[int] = []
+        self.begun_for_stops = 0
         self.transports: list[asyncio.BaseTransport] = []
         self.read = b""
         self.clients: list[socket.socket] = []
         loop = asyncio.get_running_loop()
-        self.newcomers = Newcomers(loop, lambda: Taken(self), is_encrypted, self.counters)
+        self.newcomers = Newcomers(loop, lambda: Taken(self), self.counters, self._stop, self.per_second)
+
+    def _stop(self) -> Taken:
+        self.begun_for_stops += 1
+        return Taken(self)
 
     def connected(self, says: bytes = b"") -> socket.socket:
         client = socket.create_connection(("127.0.0.1", self.port))
@@ -67,7 +74,7 @@ class Bench:
 @pytest.fixture
 def none_without_a_stop(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """As when so many have been taken up that the others have to wait."""
-    monkeypatch.setattr(newcomers, "_TAKEN_UP_A_SECOND", 0.5)
+    monkeypatch.setattr(Bench, "per_second", 0.5)
     return
 
 
@@ -88,6 +95,12 @@ async def test_who_connects_is_taken_up_with_all_that_it_said_before(bench: Benc
     async with asyncio.timeout(300):
         while bench.read != HELLO + STOP:
             await asyncio.sleep(0)
+    assert bench.begun_for_stops == 1
+
+
+async def test_who_has_brought_no_stop_is_not_taken_up_as_if(bench: Bench) -> None:
+    await bench.taken(bench.connected(HELLO))
+    assert bench.begun_for_stops == 0
 
 
 async def test_who_says_nothing_is_taken_up_too(bench: Bench) -> None:
@@ -101,7 +114,7 @@ async def test_a_stop_is_taken_up_whoever_waits(bench: Bench) -> None:
     await bench.let_in(40)
     stop = bench.connected(HELLO + STOP)
     await bench.taken(stop)
-    assert len(bench.ports) == 1
+    assert len(bench.ports) == bench.begun_for_stops == 1
 
 
 @pytest.mark.usefixtures("none_without_a_stop")
@@ -122,6 +135,16 @@ async def test_what_only_looks_like_a_stop_is_not_taken_up_before_others(bench: 
     for _ in range(100):
         await asyncio.sleep(0)
     assert not bench.ports
+
+
+async def test_where_the_silent_may_bring_a_stop_yet_they_are_waited_for(bench: Bench) -> None:
+    bench.newcomers._silent_s = 300.0
+    silent = bench.connected()
+    await bench.taken(bench.connected(HELLO))
+    assert len(bench.ports) == 1
+    silent.sendall(STOP)
+    await bench.taken(silent)
+    assert bench.begun_for_stops == 1
 
 
 async def test_who_has_said_something_is_taken_up_before_who_has_not(
@@ -156,6 +179,7 @@ async def test_who_leaves_again_leaves_nothing_behind(bench: Bench) -> None:
         while len(bench.newcomers._waiting):
             await asyncio.sleep(0)
     assert not bench.newcomers._silent
+    assert not bench.newcomers._let_in_s
     assert not bench.newcomers._spoken
 
 
@@ -170,18 +194,6 @@ async def test_who_waits_at_the_end_is_sent_away(bench: Bench) -> None:
             assert await asyncio.to_thread(client.recv, 1) == b""
         except ConnectionResetError:  # it had said something that nobody read
             assert client is spoken
-
-
-@pytest.mark.usefixtures("none_without_a_stop")
-async def test_of_encrypted_ones_all_are_taken_up() -> None:
-    bench = Bench(is_encrypted=True)
-    await bench.newcomers.listen("127.0.0.1", bench.port)
-    for client in [bench.connected() for _ in range(2 * MAX_WAITING)]:
-        await bench.taken(client)
-    await bench.newcomers.close()
-    for end in (*bench.transports, *bench.clients):
-        end.close()
-    assert not bench.counters
 
 
 async def test_an_error_of_the_system_is_told_and_outlived(

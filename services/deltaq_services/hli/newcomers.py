@@ -3,10 +3,11 @@
 To make a client of a connection takes longer than to open one, so that a flood fills the system's queue; whoever comes
 then is served after all of it, or has to knock again a fifth of a second later. So all connections are let in as they
 come, which costs little, and then taken up in this order: those that have brought a stop, those that have brought
-anything, the others; each time the newest first, and without a stop not more in a second than a cell can bear.
+anything, the others; each time one of each address in turns, the newest first, and without a stop not more in a second
+than a cell can bear.
 
-What comes over an encrypted connection nobody can tell before it is taken up. Such ones are let in in their order, as
-they are taken up.
+Where lines are encrypted nobody can tell what a connection brings before it is taken up, but for a stop in the clear:
+anybody may stop, so that one is obeyed there, too, and waits for no agreement on an encryption.
 """
 
 from __future__ import annotations
@@ -28,8 +29,6 @@ _log = logging.getLogger(__name__)
 _LET_IN_A_TURN = 64
 """Connections that are let in before the loop turns to others."""
 _TAKEN_UP_A_TURN = 8
-_TAKEN_UP_A_SECOND = 256.0
-"""Without a stop."""
 _QUEUE = 1024
 """Connections that the system keeps until they are let in."""
 _LOOK_S = 0.005
@@ -45,23 +44,28 @@ class Newcomers:
     Args:
         loop: the event loop.
         begin: makes the protocol of a connection that is taken up.
-        is_encrypted: whether what they bring cannot be read before they are taken up.
         counters: what is counted.
+        begin_stop: the same for one that has brought a stop.
+        per_second: at most so many are taken up that have brought none.
+        silent_s: nobody who says nothing is taken up before he has waited so long [s].
     """
 
     def __init__(
         self,
         loop: asyncio.AbstractEventLoop,
         begin: Callable[[], asyncio.Protocol],
-        is_encrypted: bool,
         counters: Counter[str],
+        begin_stop: Callable[[], asyncio.Protocol],
+        per_second: float = 256.0,
+        silent_s: float = 0.0,
     ) -> None:
-        self._loop, self._begin, self._counters = loop, begin, counters
-        self._rate = None if is_encrypted else RateLimit(_TAKEN_UP_A_SECOND)
-        self._let_in_a_turn = _TAKEN_UP_A_TURN if is_encrypted else _LET_IN_A_TURN
+        self._loop, self._begin, self._begin_stop, self._counters = loop, begin, begin_stop, counters
+        self._rate = RateLimit(per_second)
+        self._silent_s = silent_s
         self._listeners: list[socket.socket] = []
         self._waiting: WaitingPlaces[socket.socket] = WaitingPlaces()
         self._silent: dict[int, socket.socket] = {}
+        self._let_in_s: dict[socket.socket, float] = {}
         self._spoken: dict[socket.socket, bool] = {}
         self._heard = select.poll()
         self._taken_up: set[asyncio.Task[None]] = set()
@@ -94,7 +98,7 @@ class Newcomers:
         await asyncio.gather(*self._taken_up)
 
     def _let_in(self, listener: socket.socket) -> None:
-        for _ in range(self._let_in_a_turn):
+        for _ in range(_LET_IN_A_TURN):
             try:
                 one, address = listener.accept()
             except (BlockingIOError, InterruptedError, ConnectionAbortedError):
@@ -110,6 +114,7 @@ class Newcomers:
                 self._counters["tcp_connections_given_way"] += 1
                 self._send_away(gives_way)
             self._silent[one.fileno()] = one
+            self._let_in_s[one] = self._loop.time()
             self._heard.register(one, select.POLLIN)
         if self._look is None and len(self._waiting):
             self._look = self._loop.call_soon(self._take_up)
@@ -124,23 +129,24 @@ class Newcomers:
         self._listen_to_the_silent()
         chosen = list(islice((one for one in self._waiting if self._spoken.get(one)), _TAKEN_UP_A_TURN))
         spoken = (one for one in self._waiting if self._spoken.get(one) is False)
-        silent = (one for one in self._waiting if one not in self._spoken)
+        silent = (one for one in self._waiting if one not in self._spoken and self._has_waited(one))
         for others in (spoken, silent):
             for one in others:
-                if len(chosen) == _TAKEN_UP_A_TURN or not self._may_take_up():
+                if len(chosen) == _TAKEN_UP_A_TURN or not self._rate.take(self._loop.time()):
                     break
                 chosen.append(one)
         for one in chosen:
+            begin = self._begin_stop if self._spoken.get(one) else self._begin
             self._forget(one)
-            task = self._loop.create_task(self._hand_over(one))
+            task = self._loop.create_task(self._hand_over(one, begin))
             self._taken_up.add(task)
             task.add_done_callback(self._taken_up.discard)
         if len(self._waiting):
             again = self._take_up
             self._look = self._loop.call_soon(again) if chosen else self._loop.call_later(_LOOK_S, again)
 
-    def _may_take_up(self) -> bool:
-        return self._rate is None or self._rate.take(self._loop.time())
+    def _has_waited(self, one: socket.socket) -> bool:
+        return self._loop.time() - self._let_in_s[one] >= self._silent_s
 
     def _listen_to_the_silent(self) -> None:
         """Look once at what each has brought first; it stays to be read."""
@@ -156,9 +162,9 @@ class Newcomers:
             else:
                 self._send_away(one)
 
-    async def _hand_over(self, one: socket.socket) -> None:
+    async def _hand_over(self, one: socket.socket, begin: Callable[[], asyncio.Protocol]) -> None:
         try:
-            await self._loop.connect_accepted_socket(self._begin, one)
+            await self._loop.connect_accepted_socket(begin, one)
         except OSError:  # it has ended
             one.close()
 
@@ -168,6 +174,7 @@ class Newcomers:
 
     def _forget(self, one: socket.socket) -> None:
         self._waiting.leave(one)
+        del self._let_in_s[one]
         if self._spoken.pop(one, None) is None:
             self._no_longer_silent(one)
 

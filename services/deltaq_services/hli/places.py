@@ -39,11 +39,15 @@ class Places(Generic[C]):
         if len(self.clients) < MAX_CONNECTIONS and (mine < MAX_OF_A_PEER or is_loopback(address)):
             self.clients[connection] = address
             return Place.CLIENT, None
+        return Place.STOP_ALONE, self.take_for_stop(connection)
+
+    def take_for_stop(self, connection: C) -> C | None:
+        """Give a connection a place for a stop alone; returns the one that gives way for it, if one must."""
         self._for_stops[connection] = None
         oldest = next(iter(self._for_stops)) if len(self._for_stops) > MAX_STOP_PLACES else None
         if oldest is not None:
             del self._for_stops[oldest]
-        return Place.STOP_ALONE, oldest
+        return oldest
 
     def leave(self, connection: C) -> bool:
         """A connection has ended; whether it was a client's."""

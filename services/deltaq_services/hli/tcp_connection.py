@@ -57,6 +57,9 @@ class Front(Protocol):
     def admit(self, connection: TcpConnection, address: str) -> bool:
         """Take up a connection; False: for a stop alone, since there are too many."""
 
+    def keep_for_stop(self, connection: TcpConnection) -> None:
+        """Take up a connection for a stop alone."""
+
     def proven(self, hello: Hello, address: str) -> Hello | None:
         """A hello with the token that it has or proves; None: a wrong one. Not many of an address are compared."""
 
@@ -73,6 +76,11 @@ class TcpConnection(asyncio.Protocol, Sender):
     A client that reads slowly loses old states, never the newest; one that does not read its answers is
     disconnected.
 
+    Args:
+        port: to the core.
+        front: the server that it belongs to.
+        for_stop_alone: nothing but a stop is read from it.
+
     Attributes:
         leases: token of each robot's lease that was granted to this connection.
         origin: its address, and once it has said hello its name and role.
@@ -82,14 +90,14 @@ class TcpConnection(asyncio.Protocol, Sender):
     lasting = True
     _transport: asyncio.Transport
 
-    def __init__(self, port: Port, front: Front) -> None:
+    def __init__(self, port: Port, front: Front, for_stop_alone: bool = False) -> None:
         self._port = port
         self._front = front
         self._client: Hello | None = None
         self._lines = ReceivedLines()
         self._malformed_in_a_row = 0
         self._is_slow = False
-        self._for_stop_alone = False
+        self._for_stop_alone = for_stop_alone
         self._address = self._identity = ""
         self._is_overheard = True
         self._newest_states: dict[str, bytes] = {}
@@ -111,8 +119,11 @@ class TcpConnection(asyncio.Protocol, Sender):
         is_encrypted = transport.get_extra_info("ssl_object") is not None
         self._is_overheard = is_overheard(self._address, is_encrypted)
         self.origin = self._origin(None, address_of(transport))
-        if not self._front.admit(self, self._address):
-            self._for_stop_alone = True
+        if self._for_stop_alone:
+            self._front.keep_for_stop(self)
+        else:
+            self._for_stop_alone = not self._front.admit(self, self._address)
+        if self._for_stop_alone:
             self._port.loop.call_later(STOP_DEADLINE_S, self.close)
             return
         self._hello_deadline = self._port.loop.call_later(HELLO_DEADLINE_S, self._hello_is_overdue)

@@ -6,7 +6,6 @@ import asyncio
 import logging
 import ssl
 from collections import Counter
-from collections.abc import Callable
 from functools import cached_property, partial
 
 from deltaq_protocol.audit import AuditKind, AuditOutcome
@@ -14,7 +13,7 @@ from deltaq_protocol.codec import to_line
 from deltaq_protocol.messages import Error, Hello, RobotState
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.deeds import Deed
-from deltaq_services.hli.handshake import Handshake
+from deltaq_services.hli.handshake import HANDSHAKE_S, Handshake
 from deltaq_services.hli.line_turns import LineTurns
 from deltaq_services.hli.newcomers import Newcomers
 from deltaq_services.hli.places import MAX_CONNECTIONS, MAX_OF_A_PEER, Place, Places
@@ -28,6 +27,8 @@ _log = logging.getLogger(__name__)
 
 _LINES_A_TURN = 16
 """Lines served before the loop turns to others: robots' states, and who else is there."""
+_HANDSHAKES_A_SECOND = 64.0
+"""Connections with which an encryption is agreed on; each takes a millisecond or two."""
 _WAIT_S = 0.005
 """Where lines wait for their rates, they are looked at again after this."""
 
@@ -66,10 +67,13 @@ class TcpFront:
         Raises:
             OSError: if the address cannot be listened on.
         """
-        begin: Callable[[], asyncio.Protocol] = self._new_connection
-        if encryption is not None:
-            begin = partial(self._new_handshake, encryption)
-        newcomers = Newcomers(self._port.loop, begin, encryption is not None, self.counters)
+        loop, counters = self._port.loop, self.counters
+        if encryption is None:
+            newcomers = Newcomers(loop, self._new_connection, counters, self._new_connection)
+        else:
+            begin, begin_stop = partial(self._new_handshake, encryption), self._new_stop_in_the_clear
+            # who has said nothing yet may bring a stop in the clear
+            newcomers = Newcomers(loop, begin, counters, begin_stop, _HANDSHAKES_A_SECOND, HANDSHAKE_S)
         await newcomers.listen(address, tcp_port)
         self._newcomers = newcomers
 
@@ -92,6 +96,13 @@ class TcpFront:
             Deed(AuditKind.CONNECTED, refused, connection.origin, code=ReasonCode.TOO_MANY, text=text)
         )
         return False
+
+    def keep_for_stop(self, connection: TcpConnection) -> None:
+        """Accept a connection for a stop and nothing else."""
+        self.counters["tcp_connections"] += 1
+        gives_way = self._places.take_for_stop(connection)
+        if gives_way is not None:
+            gives_way.close()
 
     def proven(self, hello: Hello, address: str) -> Hello | None:
         """A hello with the token that it has or proves; None: a wrong one. Not many of an address are compared."""
@@ -145,6 +156,9 @@ class TcpFront:
 
     def _new_connection(self) -> TcpConnection:
         return TcpConnection(self._port, self)
+
+    def _new_stop_in_the_clear(self) -> TcpConnection:
+        return TcpConnection(self._port, self, for_stop_alone=True)
 
     def _new_handshake(self, encryption: ssl.SSLContext) -> Handshake:
         loop = self._port.loop

@@ -8,6 +8,7 @@ is the last to give way.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import zip_longest
 from typing import Generic, TypeVar
 
 from deltaq_cell.open_realm import is_loopback
@@ -31,8 +32,9 @@ class WaitingPlaces(Generic[C]):
         return len(self._addresses)
 
     def __iter__(self) -> Iterator[C]:
-        """The newest first."""
-        return reversed(self._addresses)
+        """One of each address in turns, the newest first."""
+        for turn in zip_longest(*map(reversed, reversed(self._by_address.values()))):
+            yield from (one for one in turn if one is not None)
 
     def take(self, one: C, address: str) -> C | None:
         """Give one a place; returns the one that gives way for it, if one must."""

@@ -24,7 +24,7 @@ from deltaq_verification.floods.measure import FloodRow, measure
 
 _HEADING = (
     f"{'flood':30} {'steps/s':>9} {'states/s':>15} {'kept':>7} {'braked':>9} {'stop ms':>13} {'by line':>13}"
-    "   (stops: median, longest)"
+    f" {'encrypted':>13}   (stops: median, longest)"
 )
 
 
@@ -77,7 +77,7 @@ def _line(row: FloodRow) -> str:
     braked = f"{row.without.braked_cycles} -> {row.during.braked_cycles}"
     return (
         f"{row.attack:30} {row.steps_s:9.0f} {states:>15} {row.states_kept:7.1%} {braked:>9} "
-        f"{ms(row.stop_s):>13} {ms(row.line_stop_s):>13}"
+        f"{ms(row.stop_s):>13} {ms(row.line_stop_s):>13} {ms(row.encrypted_stop_s):>13}"
     )
 
 

@@ -62,7 +62,9 @@ class FloodRow:
         states_kept: share of the states.
         stop_s: from each question for a stop to the answer that all robots are held, over a session that was there
             before [s]; None: no answer in time.
-        line_stop_s: the same over a new connection each, encrypted where lines are.
+        line_stop_s: the same over a new connection each, in the clear.
+        encrypted_stop_s: the same over a new encrypted line each, of who has the HLI's certificate; none where lines
+            are in the clear.
     """
 
     attack: str
@@ -72,6 +74,7 @@ class FloodRow:
     states_kept: float
     stop_s: tuple[float | None, ...]
     line_stop_s: tuple[float | None, ...]
+    encrypted_stop_s: tuple[float | None, ...]
 
 
 def measure(
@@ -139,24 +142,24 @@ class _Bench:
         with _flood(self._cell_name, name, attackers) as said:
             time.sleep(_SETTLES_S)
             during = self._figures(duration_s)
-            over_session, over_line = self._stops(attack, stops)
+            took = self._stops(attack, stops)
         kept = during.states_hz / without.states_hz
-        return FloodRow(name, said(), without, during, kept, tuple(over_session), tuple(over_line))
+        return FloodRow(name, said(), without, during, kept, *took)
 
-    def _stops(self, attack: Attack, stops: int) -> tuple[list[float | None], list[float | None]]:
-        """How long each stop took, over the session and over lines, in turns [s]."""
-        over_session: list[float | None] = []
-        over_line: list[float | None] = []
-        ways: list[tuple[list[float | None], Callable[[], object]]] = [
-            (over_session, lambda: self._running.stop()),
-            (over_line, lambda: stop_over_a_line(self._cell)),
-        ]
+    def _stops(self, attack: Attack, stops: int) -> tuple[tuple[float | None, ...], ...]:
+        """How long each stop took, over the session, over lines in the clear and encrypted ones, in turns [s]."""
+        ways: tuple[Callable[[], object], ...] = (
+            lambda: self._running.stop(),
+            lambda: stop_over_a_line(self._cell, {}),
+            lambda: stop_over_a_line(self._cell),
+        )
+        took: tuple[list[float | None], ...] = ([], [], [])
         for _ in range(stops):
-            for took, stop in ways:
+            for times, stop in zip(took, ways if attack.encrypted else ways[:2], strict=False):
                 if not attack.stops:
                     self._set_moving()
-                took.append(self._stopped(stop))
-        return over_session, over_line
+                times.append(self._stopped(stop))
+        return tuple(map(tuple, took))
 
     def _counter(self, robot: str) -> Callable[[Any], None]:
         def count(_: Any) -> None:
