@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import subprocess
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,7 @@ from certificate import certificate
 from served import Server
 from small_cell import small_cell
 
+from deltaq_cell.description import CellDescription
 from deltaq_launch.line_stop import stop_over_a_line
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_services.hli.line_encryption import CERTIFICATE_FILE, KEY_FILE, LineEncryptionError
@@ -30,7 +33,7 @@ def test_where_nobody_listens_it_is_said() -> None:
 def test_it_is_obeyed_and_confirmed_or_said_not_to_be() -> None:
     with Server() as server:
         assert stop_over_a_line(server.description).what == "stop"
-        assert server.peer.commands.get_nowait().kind == "stop"
+        assert server.command().kind == "stop"
         server.peer.obeys = False
         with pytest.raises(RefusedError, match="did not answer"):
             stop_over_a_line(server.description)
@@ -42,7 +45,7 @@ def test_encrypted_lines_take_it_from_who_knows_their_certificate_and_from_who_d
 ) -> None:
     with Server(encrypted=files) as server:
         assert stop_over_a_line(server.description, files if is_known else {}).what == "stop"
-        assert server.peer.commands.get_nowait().kind == "stop"
+        assert server.command().kind == "stop"
 
 
 def test_a_certificate_that_others_have_signed_is_known_without_theirs(tmp_path: Path) -> None:
@@ -67,7 +70,7 @@ def test_who_knows_the_certificate_believes_nobody_with_another_one_but_tells_hi
             LineEncryptionError, match=r"was told to stop, but has not the certificate .*\.pem"
         ):
             stop_over_a_line(server.description, files)
-        assert server.peer.commands.get_nowait().kind == "stop"
+        assert server.command().kind == "stop"
         (tmp_path / "empty.pem").touch()
         for name in ("none.pem", "empty.pem"):
             with pytest.raises(
@@ -76,19 +79,27 @@ def test_who_knows_the_certificate_believes_nobody_with_another_one_but_tells_hi
                 stop_over_a_line(server.description, {CERTIFICATE_FILE: str(tmp_path / name)})
 
 
-@pytest.mark.parametrize("says", [b"", b"\x15\x03\x03\x00\x02\x02\x46"], ids=["nothing", "an alert of TLS"])
-def test_an_end_without_an_answer_is_no_stop(says: bytes) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as deaf:
+@contextlib.contextmanager
+def deaf(says: bytes, times: int) -> Iterator[CellDescription]:
+    """One who says this to so many that have said something, and ends."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
 
         def end() -> None:
-            connection, _ = deaf.accept()
-            connection.recv(4096)
-            connection.sendall(says)
-            connection.close()
+            for _ in range(times):
+                connection, _ = listener.accept()
+                connection.recv(4096)
+                connection.sendall(says)
+                connection.close()
 
         ends = threading.Thread(target=end)
         ends.start()
-        cell = small_cell(tcp_port=deaf.getsockname()[1])
-        with pytest.raises(ServiceUnreachableError):
-            stop_over_a_line(cell, {})
+        yield small_cell(tcp_port=listener.getsockname()[1])
         ends.join()
+
+
+@pytest.mark.parametrize("says", [b"", b"\x15\x03\x03\x00\x02\x02\x46"], ids=["nothing", "an alert of TLS"])
+def test_an_end_without_an_answer_is_no_stop(files: dict[str, str], says: bytes) -> None:
+    with deaf(says, 1) as cell, pytest.raises(ServiceUnreachableError):
+        stop_over_a_line(cell, {})
+    with deaf(says, 2) as cell, pytest.raises(ServiceUnreachableError, match="sent in the clear, too"):
+        stop_over_a_line(cell, files)

@@ -14,7 +14,7 @@ from guarded_peer import GuardedPeer, guarded_peer
 from json_client import JsonClient
 from small_cell import small_cell, told, tool_pose
 
-from deltaq_services.hli import handshake, tcp_front
+from deltaq_services.hli import handshake, places, tcp_connection, tcp_front
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.line_encryption import line_encryption
 from deltaq_services.hli.shell import Hli
@@ -92,6 +92,22 @@ async def test_a_stop_in_the_clear_is_obeyed_and_nothing_else_that_comes_with_it
         assert not hli._tcp.connections
         assert await reader.read() == b""
         writer.close()
+
+
+async def test_of_too_many_that_stop_in_the_clear_the_oldest_gives_way(
+    files: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(places, "MAX_STOP_PLACES", 1)
+    monkeypatch.setattr(tcp_connection, "STOP_DEADLINE_S", 300.0)
+    async with encrypted(files) as (_, peer), contextlib.AsyncExitStack() as stack:
+        readers = []
+        for _ in range(2):
+            reader, writer = await asyncio.open_connection("127.0.0.1", peer.cell.tcp_port)
+            stack.callback(writer.close)
+            await JsonClient(reader, writer).ask("done", type="stop")
+            readers.append(reader)
+        assert await readers[0].read() == b""
+        assert not readers[1].at_eof()
 
 
 async def test_however_many_begin_to_agree_on_an_encryption_a_stop_in_the_clear_waits_for_none(

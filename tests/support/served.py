@@ -10,6 +10,7 @@ from typing import Any
 from guarded_peer import GuardedPeer, guarded_peer
 from small_cell import small_cell, told, tool_pose
 
+from deltaq_protocol.guarded import Command
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.line_encryption import line_encryption
 from deltaq_services.hli.shell import Hli
@@ -84,3 +85,7 @@ class Server:
         self._thread.join()
         if self._failure is not None:
             raise self._failure
+
+    def command(self) -> Command:
+        """The next that its peer got from the HLI; waits for it."""
+        return asyncio.run_coroutine_threadsafe(self.peer.commands.get(), self._loop).result(300)
