@@ -90,6 +90,7 @@ async def test_a_stop_in_the_clear_is_obeyed_and_nothing_else_that_comes_with_it
         assert (await client.receive("done"))["what"] == "stop"
         assert (await peer.commands.get()).kind == "stop"
         assert not hli._tcp.connections
+        assert hli.status().hli["tcp_connections"] == 1
         assert await reader.read() == b""
         writer.close()
 
