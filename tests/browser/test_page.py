@@ -30,13 +30,18 @@ def take_control(page):
 
 
 def hold_until_it_moves(page):
-    """Press and hold a jog button; the button is pressed anew if the picture was old for a moment."""
+    """Press and hold a jog button; the button is pressed anew if the picture was old for a moment.
+
+    Tests share the cell: each turns A6 away from the limit that it is nearer to.
+    """
     before = page.evaluate(Q)
-    page.get_by_role("button", name="A6 plus, hold to move").hover()
+    way, wish = ("minus", -0.2) if before[-1] > 0 else ("plus", 0.2)
+    page.get_by_role("button", name=f"A6 {way}, hold to move").hover()
     page.mouse.down()
     page.evaluate(
-        """() => { window.pressing = setInterval(() => deltaq.wish.isActive
-             || deltaq.wish.hold("test", {[deltaq.driven.length() - 1]: 0.2}), 50); }"""
+        """wish => { window.pressing = setInterval(() => deltaq.wish.isActive
+             || deltaq.wish.hold("test", {[deltaq.driven.length() - 1]: wish}), 50); }""",
+        wish,
     )
     page.wait_for_function(
         f"before => {Q}.some((value, k) => Math.abs(value - before[k]) > 0.02)", arg=before

@@ -58,6 +58,9 @@ def test_the_picture_is_handed_to_the_camera_that_sees_unless_one_was_chosen(
             both = "Object.values(deltaq.live.status?.robots ?? {}).filter(({sight}) => sight === 'fresh').length === 2"
             page.wait_for_selector("[data-ready=true]", state="attached")
             page.wait_for_function(both)
+            # whichever saw its target first
+            page.get_by_label("Camera", exact=True).select_option("fr")
+            page.get_by_label("Camera", exact=True).select_option("auto")
             assert page.evaluate(shown) == "fr"
             cell.view("fr", targets=[UNDER_THE_DECK])
             page.wait_for_function(f"{shown} === 'aide'")
