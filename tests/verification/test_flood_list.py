@@ -35,6 +35,7 @@ def test_a_row_tells_states_braked_cycles_and_how_long_a_stop_took() -> None:
         0.5,
         (0.0214, None, 0.02),
         (),
+        (0.0654,),
     )
     assert _line(row).split() == [
         "lines",
@@ -49,6 +50,8 @@ def test_a_row_tells_states_braked_cycles_and_how_long_a_stop_took() -> None:
         "21,",
         "inf",
         "-",
+        "65,",
+        "65",
     ]
 
 
