@@ -44,7 +44,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install $(QUIETLY) -c constraints.txt hatchling editables
 	$(BIN)/python -m pip install $(QUIETLY) --only-binary uv -c constraints.txt uv \
 	  && $(BIN)/uv pip install --quiet --system-certs --python $(BIN)/python $(EVERYTHING) \
-	  || { echo "uv did not find everything; pip looks where it was told to"; \
+	  || { echo "not with uv: pip looks where it was told to"; \
 	    $(BIN)/python -m pip install $(QUIETLY) --no-compile $(EVERYTHING); }
 	touch $@
 

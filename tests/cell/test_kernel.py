@@ -21,7 +21,7 @@ TOLERANCE_M = 2e-6
 """What the kernel's search and coal's may differ by."""
 
 
-@pytest.fixture(scope="module", params=["lab", "lab-4ms", "dawm", "three robots"])
+@pytest.fixture(scope="module", params=["lab", "dawm", "lab-4ms", "three robots"])
 def cell(request, tmp_path_factory):
     if request.param != "three robots":
         return CellModel.load(request.param)

@@ -46,7 +46,7 @@ class Bench:
         self.read = b""
         self.clients: list[socket.socket] = []
         loop = asyncio.get_running_loop()
-        self.newcomers = Newcomers(loop, lambda: Taken(self), self.counters, self._stop, self.per_second)
+        self.newcomers = Newcomers(loop, lambda: Taken(self), self._stop, self.counters, self.per_second)
 
     def _stop(self) -> Taken:
         self.begun_for_stops += 1

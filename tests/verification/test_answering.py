@@ -132,7 +132,7 @@ def lab(ahead: int, tmp_path_factory: pytest.TempPathFactory) -> LoadedCell:
 # --- what goes wrong -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_where_verdicts_are_lost_each_increment_is_reckoned_with_once_all_the_same(
     lab: LoadedCell, seed: int
 ) -> None:
@@ -244,7 +244,7 @@ def test_a_controller_that_got_no_processor_time_makes_up_for_what_it_missed(
 # --- what it is for ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_answers_that_take_longer_than_a_cycle_cost_nothing_unless_verdicts_are_waited_for(
     lab: LoadedCell, seed: int
 ) -> None:

@@ -44,8 +44,8 @@ class Newcomers:
     Args:
         loop: the event loop.
         begin: makes the protocol of a connection that is taken up.
-        counters: what is counted.
         begin_stop: the same for one that has brought a stop.
+        counters: what is counted.
         per_second: at most so many are taken up that have brought none.
         silent_s: nobody who says nothing is taken up before he has waited so long [s].
     """
@@ -54,8 +54,8 @@ class Newcomers:
         self,
         loop: asyncio.AbstractEventLoop,
         begin: Callable[[], asyncio.Protocol],
-        counters: Counter[str],
         begin_stop: Callable[[], asyncio.Protocol],
+        counters: Counter[str],
         per_second: float = 256.0,
         silent_s: float = 0.0,
     ) -> None:

@@ -69,11 +69,13 @@ class TcpFront:
         """
         loop, counters = self._port.loop, self.counters
         if encryption is None:
-            newcomers = Newcomers(loop, self._new_connection, counters, self._new_connection)
+            newcomers = Newcomers(loop, self._new_connection, self._new_connection, counters)
         else:
             begin, begin_stop = partial(self._new_handshake, encryption), self._new_stop_in_the_clear
             # who has said nothing yet may bring a stop in the clear
-            newcomers = Newcomers(loop, begin, counters, begin_stop, _HANDSHAKES_A_SECOND, HANDSHAKE_S)
+            newcomers = Newcomers(
+                loop, begin, begin_stop, counters, per_second=_HANDSHAKES_A_SECOND, silent_s=HANDSHAKE_S
+            )
         await newcomers.listen(address, tcp_port)
         self._newcomers = newcomers
 
