@@ -33,6 +33,7 @@ from deltaq_controllers.camera.qp_follower import QpFollower
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.kinematics import Kinematics
+from deltaq_controllers.leader.attacking import HomingStick
 from deltaq_controllers.redundancy import damped_rates
 from deltaq_experiments import collision
 from deltaq_experiments.options import Options
@@ -125,7 +126,7 @@ def test_no_clearance_is_greater_than_that_of_the_bodies(arm: EscapingArm) -> No
         q = random.uniform(FR.lower, FR.upper)
         centre = random.uniform((-1.5, -1.0, 0.0), (1.5, 2.0, 3.0))
         place_boxes(arm.boxed, placed, q)
-        told = clearance(arm.boxed, placed, centre[None], np.array([0.1]), np.zeros(3), 5.0)
+        told = clearance(arm.boxed, arm.boxed.own, placed, centre[None], np.array([0.1]), np.zeros(3), 5.0)
         pin.forwardKinematics(FR.model, data, q)
         at = pin.hppfcl.Transform3s(np.eye(3), centre)
         least = math.inf
@@ -157,6 +158,39 @@ def test_the_best_of_some_courses_costs_what_it_costs_alone_and_less_than_the_ot
     assert (simulation.best <= FR.upper + 1e-9).all()
     fastest = np.abs(np.diff(simulation.best, axis=0)).max(axis=0)
     assert (fastest <= FR.max_velocity * GAINS.step_s + 1e-9).all()
+
+
+def past_the_lens(speed: float) -> Attacker:
+    """A ball on the lens that goes away along the view axis, after nothing."""
+    lens = FR.camera_pose(FR.home)[:3, 3]
+    away = speed * (FOCUS - lens) / np.linalg.norm(FOCUS - lens)
+    return Attacker(lens[None], np.array([0.3]), lens, away, speed, NOTHING)
+
+
+def test_what_has_been_hit_is_hit_for_the_rest_of_a_course(arm: EscapingArm) -> None:
+    stay = Courses(FR.home[None], np.array([GAINS.steps]), FR.home[None])
+    none = GAINS._replace(contact=0.0)
+    costs = [
+        course_cost(arm, past_the_lens(2.0), gains, start(), stay, 0, Simulation.of(arm, gains), math.inf)
+        for gains in (GAINS, none)
+    ]
+    assert costs[0] == pytest.approx(costs[1] + GAINS.contact * GAINS.steps)
+
+
+def test_it_costs_at_the_end_if_the_attacker_is_near_what_cannot_get_out_of_the_way(arm: EscapingArm) -> None:
+    assert sorted(arm.boxed.anatomy.carrier[arm.boxed.inner]) == [-1, 0], "the base and the first link"
+    stay = Courses(FR.home[None], np.array([GAINS.steps]), FR.home[None])
+    shoulder, extra = FR.joint_origins(FR.home)[1], []
+    for metres in (0.6, 3.0):
+        above = (shoulder + np.array([0.0, 0.0, metres]))[None]
+        attacker = Attacker(above, np.array([0.1]), above[0], np.zeros(3), 0.1, NOTHING)
+        costs = [
+            course_cost(arm, attacker, gains, start(), stay, 0, Simulation.of(arm, gains), math.inf)
+            for gains in (GAINS, GAINS._replace(inner=0.0))
+        ]
+        extra.append(costs[0] - costs[1])
+    assert 0.0 < extra[0] < GAINS.inner
+    assert extra[1] == 0.0
 
 
 def test_a_plan_gets_better_and_two_plans_of_the_same_views_are_the_same(arm: EscapingArm) -> None:
@@ -194,6 +228,47 @@ def test_what_a_tool_is_after_is_told_from_its_way(target: int) -> None:
         attacker = pursuit.update(moving, joints, lens)  # type: ignore[arg-type]
     assert attacker.target == target
     assert attacker.speed == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("target", [LENS, 2])
+def test_a_tool_that_has_been_slipped_past_is_still_after_the_same_point(target: int) -> None:
+    joints, lens = FR.joint_origins(FR.home), FR.camera_pose(FR.home)[:3, 3]
+    pursuit, stick, q = Pursuit(SCENE), HomingStick(0.5, CYCLE_S), np.array(GR.home)
+    stays = []
+    for cycle in range(240):
+        tool = GR.forward(q)[:3, 3]
+        point = (lens if target == LENS else joints[target]).copy()
+        if cycle >= 80:  # it is a metre behind the tool now, and the others are where they were
+            point += 2.0 * (GR.forward(GR.home)[:3, 3] - point)
+        moved = np.vstack([joints])
+        moved[target if target != LENS else 0] = point if target != LENS else joints[0]
+        stick.point = point
+        velocity = np.zeros(GR.n)
+        velocity[:3] = stick.update(tool) * [-1.0, -1.0, 1.0]
+        attacker = pursuit.update(Moving(q, velocity), moved, point if target == LENS else lens)  # type: ignore[arg-type]
+        q = q + CYCLE_S * velocity
+        stays.append(attacker.target)
+    assert stays[60:] == [target] * 180
+
+
+@pytest.mark.long
+def test_each_joint_that_a_course_leads_goes_as_the_course_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    wanted = np.array([0.1, -0.3, 0.1, 0.0, 0.0, 0.0])
+
+    def in_danger(plan: EscapePlan, _attacker: Attacker, _start: CourseStart) -> Array:
+        plan.cost = 2.0 * GAINS.acts_above
+        return wanted
+
+    follower = EscapingFollower(SCENE, 1.25, FOCUS)
+    monkeypatch.setattr(EscapePlan, "rates", in_danger)
+    q, leader = np.array(FR.home), np.array(GR.home)
+    for cycle in range(40):
+        now = CYCLE_S * cycle
+        dq = follower.increment(
+            View(RobotView(cycle, now, q, q), {"gr": RobotView(cycle, now, leader, leader)})
+        )
+        q = q + dq
+    assert dq[:3] == pytest.approx(CYCLE_S * wanted[:3], rel=0.05)
 
 
 @pytest.mark.long

@@ -17,6 +17,7 @@ more than leaves room to brake with the acceleration that the joints have in tha
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +26,7 @@ from deltaq_controllers.camera.aim import focus_of
 from deltaq_controllers.camera.error import CameraPose, view_angle
 from deltaq_controllers.camera.qp_gains import QpGains
 from deltaq_controllers.camera.qp_problem import QuadraticProgram
-from deltaq_controllers.camera.qp_tasks import Aim, TaskGains, Tasks, view_tasks
+from deltaq_controllers.camera.qp_tasks import Aim, Evasion, TaskGains, Tasks, view_tasks
 from deltaq_controllers.camera.repulsion import Obstacles, Potential, Repulsion
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.camera.subtasks import RollJoint
@@ -44,11 +45,10 @@ MOST_PAIRS = 16
 """Pairs of bodies that one programme takes into account: the nearest in proportion to their range."""
 
 
-class Evasion(NamedTuple):
-    """Rates (n,) of `evasion`, and of `room`, away from limits [rad/s or m/s], and their weights."""
+class Retreat(NamedTuple):
+    """What gets the arm out of the way, and the weights of all tasks meanwhile."""
 
-    evasion: Array
-    room: Array
+    evasion: Evasion
     gains: TaskGains
 
 
@@ -198,21 +198,20 @@ class QpFollower:
             q,
             Aim(focus, velocity, float(self.desired_distance_m)),
             retreat.evasion,
-            retreat.room,
             retreat.gains,
             self._roll_joint,
             self.limits.max_ddq,
             self._cycle_s,
         )
 
-    def _retreat(self, q: Array, _dq_last: Array, _focus: Array, evade: bool) -> Evasion:
+    def _retreat(self, q: Array, _dq_last: Array, _focus: Array, evade: bool) -> Retreat:
         """How to get out of the way at `q` (n,) while somebody is near, to which `_dq_last` (n,) has led."""
-        return Evasion(
-            self._evasion(q) if evade else np.zeros_like(q),
-            # a target that stands still moves nothing: what it leaves free does not drift
-            self._room(q) if evade or self.focus is None else np.zeros_like(q),
-            self._gains_near if evade else self._gains_alone,
-        )
+        away = self._evasion(q) if evade else np.zeros_like(q)
+        size = math.sqrt(float((away * away).sum()))
+        # a target that stands still moves nothing: what it leaves free does not drift
+        room = self._room(q) if evade or self.focus is None else np.zeros_like(q)
+        evasion = Evasion((away / max(size, 1e-9))[None], np.array([size]), room)
+        return Retreat(evasion, self._gains_near if evade else self._gains_alone)
 
     def _barriers(
         self, near: NearPairs, travel: Array, cycles: int, slowest: Array, fastest: Array

@@ -37,6 +37,20 @@ class Tasks(NamedTuple):
     weights: Array
 
 
+class Evasion(NamedTuple):
+    """How the arm gets out of another robot's way.
+
+    Attributes:
+        rows: (k, n) directions in which its joints move, of unit length.
+        rates: (k,) along each [rad/s or m/s]; zero for none.
+        room: (n,) that move joints away from their limits [rad/s or m/s]; zero for none.
+    """
+
+    rows: Array
+    rates: Array
+    room: Array
+
+
 class TaskGains(NamedTuple):
     """The fields of `QpGains` that the tasks use: each argument costs time."""
 
@@ -63,21 +77,19 @@ def view_tasks(
     pose: CameraPose,
     q: Array,
     aim: Aim,
-    evasion: Array,
-    room: Array,
+    evasion: Evasion,
     gains: TaskGains,
     roll_joint: RollJoint,
     max_ddq: Array,
     cycle_s: float,
 ) -> Tasks:
-    """Angle (two rows), distance, roll, evasion and room.
+    """Angle (two rows), distance, roll, a row for each direction of the evasion, and room.
 
     Args:
         pose: of the camera.
         q: (n,) configuration [rad or m].
         aim: what to look at.
-        evasion: (n,) rates that evade the others; zero for none [rad/s or m/s].
-        room: (n,) rates that move joints away from their limits; zero for none [rad/s or m/s].
+        evasion: how to get out of the way.
         gains: weights and shares.
         roll_joint: the joint that levels the picture.
         max_ddq: (n,) largest change of the increment between two cycles [rad or m].
@@ -85,15 +97,16 @@ def view_tasks(
     """
     view = look_on(pose.rotation, pose.position, aim.focus, pose.twists)
     jacobian, approach = view_jacobians(view, pose.position, aim.focus, pose.twists)
-    push, pull = math.sqrt((evasion * evasion).sum()), math.sqrt((room * room).sum())
-    rows = np.empty((6, len(q)))
+    room, ways = evasion.room, len(evasion.rates)
+    pull = math.sqrt((room * room).sum())
+    rows = np.empty((5 + ways, len(q)))
     rows[:2], rows[2] = jacobian / view.stretch, -approach
     rows[3] = roll_effects(pose.rotation, pose.twists[3:])
-    rows[4], rows[5] = evasion / max(push, 1e-9), room / max(pull, 1e-9)
+    rows[4:-1], rows[-1] = evasion.rows, room / max(pull, 1e-9)
 
     deceleration = available(rows[:2], max_ddq, view.direction)
     turn = step(view.angle, gains.angle_share, deceleration, gains.brake_share)
-    wanted = np.empty(6)
+    wanted = np.empty(5 + ways)
     for i in range(2):
         drift = (view.P[i] * aim.velocity).sum() * cycle_s / view.stretch
         wanted[i] = -turn * view.direction[i] - drift
@@ -110,18 +123,11 @@ def view_tasks(
     turn = turn_to_level(pose.rotation, axis, q[last], roll_joint.lower, roll_joint.upper) * rows[3, last]
     level = step(abs(turn), gains.roll_share, gains.spin_rad_s2 * cycle_s**2, gains.brake_share)
     wanted[3] = math.copysign(level, turn)
-    wanted[4], wanted[5] = cycle_s * push, cycle_s * pull
+    wanted[4:-1], wanted[-1] = cycle_s * evasion.rates, cycle_s * pull
 
-    weights = np.array(
-        [
-            gains.angle_weight,
-            gains.angle_weight,
-            gains.distance_weight,
-            gains.roll_weight,
-            gains.evasion_weight,
-            gains.room_weight,
-        ]
-    )
+    weights = np.empty(5 + ways)
+    weights[:2], weights[2], weights[3] = gains.angle_weight, gains.distance_weight, gains.roll_weight
+    weights[4:-1], weights[-1] = gains.evasion_weight, gains.room_weight
     return Tasks(rows, wanted, weights)
 
 

@@ -98,7 +98,8 @@ def _boxed(scene: Scene, leads: Array) -> BoxedArm:
     own = np.flatnonzero(anatomy.robot >= 0)
     every = np.array([(ball, body) for ball in range(len(balls.radii)) for body in range(len(anatomy.robot))])
     none_wanted = np.zeros(len(anatomy.robot), dtype=np.bool_)
-    boxed = BoxedArm(anatomy, own, balls, every, none_wanted, np.zeros(robot.n))
+    inner = own[anatomy.carrier[own] <= 0]
+    boxed = BoxedArm(anatomy, own, inner, balls, every, none_wanted, np.zeros(robot.n))
     return boxed._replace(pairs=every[_matter(robot, anatomy, boxed)])
 
 

@@ -20,6 +20,7 @@ class BoxedArm(NamedTuple):
     Attributes:
         anatomy: of the robot and the structure.
         own: (b,) numbers of its own bodies in there.
+        inner: (c,) those that only the first joint moves, or none: they cannot get out of the way.
         balls: around its outer bodies; `joints` count from 0 here.
         pairs: (p, 2) sphere and body that are to be kept apart.
         none_wanted: (bodies,) False: of the gate's kernel only the placing of joints is wanted, and of no body.
@@ -28,6 +29,7 @@ class BoxedArm(NamedTuple):
 
     anatomy: Anatomy
     own: Indices
+    inner: Indices
     balls: Spheres
     pairs: Indices
     none_wanted: Flags
@@ -97,19 +99,20 @@ def least_gap(arm: BoxedArm, placed: Placed, least: float) -> float:
 
 @makes_no_array
 def clearance(
-    arm: BoxedArm, placed: Placed, centres: Array, radii: Array, shift: Array, least: float
+    arm: BoxedArm, bodies: Indices, placed: Placed, centres: Array, radii: Array, shift: Array, least: float
 ) -> float:
-    """Least distance of the own bodies from spheres that were moved by `shift` (3,); `least` if it is no less [m].
+    """Least distance of bodies from spheres that were moved by `shift` (3,); `least` if it is no less [m].
 
     Args:
         arm: the robot.
+        bodies: (b,) their numbers, `arm.own` or some of these.
         placed: where it is.
         centres: (m, 3) of the spheres [m].
         radii: (m,) of the spheres [m].
         shift: by which they have moved [m].
         least: what is far enough [m].
     """
-    for body in arm.own:
+    for body in bodies:
         for ball in range(len(radii)):
             x, y, z = centres[ball, 0] + shift[0], centres[ball, 1] + shift[1], centres[ball, 2] + shift[2]
             least = gap(arm.anatomy, placed, body, x, y, z, radii[ball], least)

@@ -7,12 +7,15 @@ limit, every barrier and the view stay above it, as they stand above the evasion
 
 from __future__ import annotations
 
+import numpy as np
+
 from deltaq_controllers.camera.escape.arm import arm_of
 from deltaq_controllers.camera.escape.gains import EscapeGains
 from deltaq_controllers.camera.escape.plan import EscapePlan
 from deltaq_controllers.camera.escape.pursuit import Pursuit
 from deltaq_controllers.camera.escape.rollout import CourseStart
-from deltaq_controllers.camera.qp_follower import Evasion, QpFollower
+from deltaq_controllers.camera.qp_follower import QpFollower, Retreat
+from deltaq_controllers.camera.qp_tasks import Evasion
 from deltaq_protocol.arrays import Array
 
 
@@ -26,6 +29,7 @@ class EscapingFollower(QpFollower):
             evasion_weight=led.led_evasion_weight, distance_weight=led.led_weight, room_weight=led.led_weight
         )
         self._arm = arm_of(self._scene)
+        self._led = np.eye(len(self._arm.leads))[self._arm.leads > 0.0]
         self._think_anew()
         super()._warm_up()
         self._think_anew()  # warming up it has seen an attacker that is none
@@ -34,11 +38,12 @@ class EscapingFollower(QpFollower):
         self._plan = EscapePlan(self._arm, self._escape_gains, self._cycle_s)
         self._pursuit = Pursuit(self._scene)
 
-    def _retreat(self, q: Array, dq_last: Array, focus: Array, evade: bool) -> Evasion:
+    def _retreat(self, q: Array, dq_last: Array, focus: Array, evade: bool) -> Retreat:
         camera = self._camera
         attacker = self._pursuit.update(self.leader_seen, camera.origins(), camera.position)
         start = CourseStart(q, dq_last / self._cycle_s, focus, float(self.desired_distance_m))
         rates = self._plan.rates(attacker, start)
         if self._plan.cost <= self._escape_gains.acts_above:
             return super()._retreat(q, dq_last, focus, evade)
-        return Evasion(rates * self._arm.leads, self._room(q), self._gains_led)
+        # a row for each joint: along the course alone, the joint with the greatest acceleration would do it all
+        return Retreat(Evasion(self._led, self._led @ rates, self._room(q)), self._gains_led)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deltaq_controllers.camera.escape.rollout import LENS, NOTHING, Attacker
+from deltaq_controllers.camera.escape.rollout import ATTACKERS_M_S2, LENS, NOTHING, Attacker
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.spheres import PlacedSpheres, Spheres
@@ -14,14 +14,16 @@ from deltaq_protocol.arrays import Array
 _OUTER_JOINTS = 6
 """Bodies on joints before the last six, as on a gantry, are assumed to come near no robot."""
 
-_SMOOTHS = 0.1
-"""Fraction of a new velocity in the smoothed one, per cycle."""
+_SMOOTHS = 0.02
+"""Fraction of a new error in the smoothed one, per cycle."""
+_FOLLOWS = 0.15
+"""Fraction of its error that an expected velocity makes good in a cycle."""
 _MOVES_M_S = 0.08
 """Least speed at which a tool is taken to have a target [m/s]."""
-_HEADS = 0.8
-"""Least cosine of the angle between a tool's velocity and the direction to its target."""
-_STAYS = 0.02
-"""By how much another target's cosine has to exceed that of the present target."""
+_EXPLAINS = 0.22
+"""Greatest error of the velocity that a target leads to expect, as a fraction of the greatest speed."""
+_STAYS = 0.8
+"""Factor of the error of the present target, so that two that are as likely do not alternate."""
 _FORGETS = 0.9995
 """Fraction of the greatest speed seen that is still expected a cycle later."""
 _LEAST_M_S = 0.05
@@ -29,6 +31,10 @@ _LEAST_M_S = 0.05
 
 class Pursuit:
     """The leader as an attacker.
+
+    For each point that its tool may be after, the velocity of a tool that homes in on that point is predicted from
+    cycle to cycle. The target is the point whose prediction has been off least of late; there is none if all are far
+    off. The velocity's direction alone does not tell it: a tool that an arm has slipped past still turns.
 
     Args:
         scene: the cell and the roles of its robots.
@@ -39,7 +45,9 @@ class Pursuit:
         self._spheres = PlacedSpheres(leader)
         self._outer = Spheres.of(leader).joints > leader.n - _OUTER_JOINTS
         self._tool = Kinematics(leader, "tool")
-        self._smoothed, self._speed, self._target = np.zeros(3), _LEAST_M_S, NOTHING
+        points = 1 + scene.robot.n  # the lens comes first, then the joints
+        self._expected, self._errors = np.zeros((points, 3)), np.zeros(points)
+        self._speed, self._target, self._cycle_s = _LEAST_M_S, NOTHING, scene.cycle_s
 
     def update(self, leader: Foreseen, joints: Array, lens: Array) -> Attacker:
         """The attacker with its present target.
@@ -53,20 +61,25 @@ class Pursuit:
         self._tool.update(q)
         tip = self._tool.position
         velocity = self._tool.at_point(tip) @ leader.velocity
-        self._smoothed = (1.0 - _SMOOTHS) * self._smoothed + _SMOOTHS * velocity
         self._speed = max(float(np.linalg.norm(velocity)), _FORGETS * self._speed, _LEAST_M_S)
-        self._target = self._aims_at(tip, np.vstack([lens, joints]))
+        self._target = self._aims_at(tip, velocity, np.vstack([lens, joints]))
         centres, radii = self._spheres.at(q)[self._outer], self._spheres.radii[self._outer]
         return Attacker(centres, radii, tip, velocity, self._speed, self._target)
 
-    def _aims_at(self, tip: Array, points: Array) -> int:
-        speed = float(np.linalg.norm(self._smoothed))
-        if speed < _MOVES_M_S:
-            return NOTHING
+    def _aims_at(self, tip: Array, velocity: Array, points: Array) -> int:
         ways = points - tip
-        cosines = ways @ self._smoothed / np.maximum(speed * np.linalg.norm(ways, axis=1), 1e-9)
-        # the lens comes first, then the joints
+        far = np.maximum(np.linalg.norm(ways, axis=1), 1e-9)
+        toward = np.minimum(self._speed, np.sqrt(2.0 * ATTACKERS_M_S2 * far)) / far
+        change = toward[:, None] * ways - self._expected
+        size = np.maximum(np.linalg.norm(change, axis=1), 1e-9)
+        self._expected += np.minimum(ATTACKERS_M_S2 * self._cycle_s / size, 1.0)[:, None] * change
+        error = velocity - self._expected
+        self._expected += _FOLLOWS * error
+        self._errors += _SMOOTHS * (np.linalg.norm(error, axis=1) - self._errors)
+        if self._speed < _MOVES_M_S:
+            return NOTHING
+        errors = self._errors.copy()
         if self._target != NOTHING:
-            cosines[self._target - LENS] += _STAYS
-        best = int(np.argmax(cosines))
-        return LENS + best if cosines[best] > _HEADS else NOTHING
+            errors[self._target - LENS] *= _STAYS
+        best = int(np.argmin(errors))
+        return LENS + best if errors[best] < _EXPLAINS * self._speed else NOTHING

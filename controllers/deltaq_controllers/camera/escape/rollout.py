@@ -148,7 +148,7 @@ def course_cost(
         simulation.tip[k], simulation.velocity[k] = attacker.tip[k], attacker.velocity[k]
         simulation.shift[k] = 0.0
     place_boxes(arm.boxed, placed, q)
-    cost, away = 0.0, start.distance
+    cost, away, is_hit = 0.0, start.distance, False
     for step in range(gains.steps):
         goal = courses.first[course] if step < courses.until[course] else courses.then[course]
         angle, away = move(arm, gains.step_s, start.focus, goal, q, rates, seen, placed)
@@ -161,13 +161,19 @@ def course_cost(
             seen.lens if attacker.target < 0 else placed.translation[attacker.target],
             simulation,
         )
-        cost += _cost_of_step(arm, attacker, gains, placed, simulation.shift, angle)
+        clear = _clearance(arm, arm.boxed.own, attacker, placed, simulation.shift, gains.range_m)
+        is_hit = is_hit or clear < gains.contact_m
+        cost += _cost_of_step(arm, gains, placed, clear, angle)
+        if is_hit:
+            cost += gains.contact
         if cost > bound:
             return cost
     for joint in range(len(q)):
         room = min(q[joint] - arm.lower[joint], arm.upper[joint] - q[joint])
         missing = 1.0 - room / (gains.margin * (arm.upper[joint] - arm.lower[joint]))
         cost += gains.limit * max(missing, 0.0) ** 2
+    inner = _clearance(arm, arm.boxed.inner, attacker, placed, simulation.shift, gains.inner_m)
+    cost += gains.inner * (1.0 - inner / gains.inner_m) ** 2
     return cost + gains.distance * (away - start.distance) ** 2
 
 
@@ -192,15 +198,17 @@ def _pursue(attacker: Attacker, time: float, target: Array, simulation: Simulati
 
 
 @inlined
-def _cost_of_step(
-    arm: EscapingArm, attacker: Attacker, gains: EscapeGains, placed: Placed, shift: Array, angle: float
+def _clearance(
+    arm: EscapingArm, bodies: Indices, attacker: Attacker, placed: Placed, shift: Array, least: float
 ) -> float:
-    cost = 0.0
-    away = clearance(arm.boxed, placed, attacker.centres, attacker.radii, shift, gains.range_m)
-    cost += gains.near * (1.0 - away / gains.range_m) ** 2
-    cost += gains.close * max(1.0 - away / gains.close_m, 0.0)
-    if away < 0.0:
-        cost += gains.contact
+    distance: float = clearance(arm.boxed, bodies, placed, attacker.centres, attacker.radii, shift, least)
+    return distance
+
+
+@inlined
+def _cost_of_step(arm: EscapingArm, gains: EscapeGains, placed: Placed, clear: float, angle: float) -> float:
+    cost = gains.near * (1.0 - clear / gains.range_m) ** 2
+    cost += gains.close * max(1.0 - clear / gains.close_m, 0.0)
     if angle > gains.view_rad:
         cost += gains.askew * min(angle, 0.5)
     own = least_gap(arm.boxed, placed, gains.own_m)
