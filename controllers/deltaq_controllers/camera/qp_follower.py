@@ -213,6 +213,10 @@ class QpFollower:
         evasion = Evasion((away / max(size, 1e-9))[None], np.array([size]), room)
         return Retreat(evasion, self._gains_near if evade else self._gains_alone)
 
+    def _kept(self) -> Keeping:
+        """How distances are kept in this cycle."""
+        return self._keeping
+
     def _barriers(
         self, near: NearPairs, travel: Array, cycles: int, slowest: Array, fastest: Array
     ) -> Barriers:
@@ -221,7 +225,7 @@ class QpFollower:
         # a cycle is added to it
         braking = Braking(travel, reach=0.5 * (cycles + 2))
         rates = self._others.rates()
-        return barriers_of(near, self._keeping, braking, rates, slowest, fastest, self._cycle_s)
+        return barriers_of(near, self._kept(), braking, rates, slowest, fastest, self._cycle_s)
 
     def _evasion(self, q: Array) -> Array:
         """(n,) W^-1 F_rep of (12), off the floor and where the other robots will be [rad/s or m/s].

@@ -7,6 +7,8 @@ limit, every barrier and the view stay above it, as they stand above the evasion
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from deltaq_controllers.camera.escape.arm import arm_of
@@ -16,6 +18,7 @@ from deltaq_controllers.camera.escape.pursuit import Pursuit
 from deltaq_controllers.camera.escape.rollout import CourseStart
 from deltaq_controllers.camera.qp_follower import QpFollower, Retreat
 from deltaq_controllers.camera.qp_tasks import Evasion
+from deltaq_controllers.surroundings.barriers import Keeping
 from deltaq_protocol.arrays import Array
 
 
@@ -30,6 +33,8 @@ class EscapingFollower(QpFollower):
         )
         self._arm = arm_of(self._scene)
         self._led = np.eye(len(self._arm.leads))[self._arm.leads > 0.0]
+        # a course knows already where the other robot will be
+        self._keeping_led = self._keeping._replace(reaction_s=0.0, others_brake_m_s2=math.inf)
         self._think_anew()
         super()._warm_up()
         self._think_anew()  # warming up it has seen an attacker that is none
@@ -43,7 +48,14 @@ class EscapingFollower(QpFollower):
         attacker = self._pursuit.update(self.leader_seen, camera.origins(), camera.position)
         start = CourseStart(q, dq_last / self._cycle_s, focus, float(self.desired_distance_m))
         rates = self._plan.rates(attacker, start)
-        if self._plan.cost <= self._escape_gains.acts_above:
+        if not self._is_led:
             return super()._retreat(q, dq_last, focus, evade)
         # a row for each joint: along the course alone, the joint with the greatest acceleration would do it all
         return Retreat(Evasion(self._led, self._led @ rates, self._room(q)), self._gains_led)
+
+    @property
+    def _is_led(self) -> bool:
+        return self._plan.cost > self._escape_gains.acts_above
+
+    def _kept(self) -> Keeping:
+        return self._keeping_led if self._is_led else super()._kept()
