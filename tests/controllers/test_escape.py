@@ -35,6 +35,7 @@ from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.leader.attacking import HomingStick
 from deltaq_controllers.redundancy import damped_rates
+from deltaq_controllers.surroundings.barriers import RESERVE
 from deltaq_experiments import collision
 from deltaq_experiments.options import Options
 from deltaq_protocol.arrays import Array
@@ -251,6 +252,25 @@ def test_a_tool_that_has_been_slipped_past_is_still_after_the_same_point(target:
     assert stays[60:] == [target] * 180
 
 
+def test_a_tool_that_goes_elsewhere_is_after_nothing_and_one_that_is_slowed_down_still_after_its_point() -> (
+    None
+):
+    joints, lens = FR.joint_origins(FR.home), FR.camera_pose(FR.home)[:3, 3]
+    tool = GR.forward(GR.home)[:3, 3]
+    away = tool + 5.0 * np.cross(lens - tool, [0.0, 0.0, 1.0])
+    told = {}
+    # the limits of its joints leave a tool half of its speed along one axis
+    for name, point, slow in (("away", away, 1.0), ("slowed", joints[2], 0.5)):
+        pursuit, stick, q = Pursuit(SCENE), HomingStick(0.5, CYCLE_S), np.array(GR.home)
+        for _ in range(120):
+            stick.point = point
+            velocity = np.zeros(GR.n)
+            velocity[:3] = stick.update(GR.forward(q)[:3, 3]) * [-1.0, -slow, 1.0]
+            told[name] = pursuit.update(Moving(q, velocity), joints, lens).target  # type: ignore[arg-type]
+            q = q + CYCLE_S * velocity
+    assert told == {"away": NOTHING, "slowed": 2}
+
+
 @pytest.mark.long
 def test_each_joint_that_a_course_leads_goes_as_the_course_does(monkeypatch: pytest.MonkeyPatch) -> None:
     wanted = np.array([0.1, -0.3, 0.1, 0.0, 0.0, 0.0])
@@ -269,6 +289,26 @@ def test_each_joint_that_a_course_leads_goes_as_the_course_does(monkeypatch: pyt
         )
         q = q + dq
     assert dq[:3] == pytest.approx(CYCLE_S * wanted[:3], rel=0.05)
+
+
+@pytest.mark.long
+def test_a_course_that_leads_has_foreseen_what_the_other_robot_needs_to_brake() -> None:
+    lens, tool = FR.camera_pose(FR.home)[:3, 3], GR.forward(GR.home)[:3, 3]
+    toward = (lens - tool) / np.linalg.norm(lens - tool)
+    reserve = {}
+    for make in (QpFollower, EscapingFollower):
+        follower, q, leader = make(SCENE, 1.25, FOCUS), np.array(FR.home), np.array(GR.home)
+        leader[:3] += (lens - 0.5 * toward - tool) * [-1.0, -1.0, 1.0]
+        slack = 0.0
+        for cycle in range(30):
+            now = CYCLE_S * cycle
+            view = View(RobotView(cycle, now, q, q), {"gr": RobotView(cycle, now, leader, leader)})
+            q = q + follower.increment(view)
+            leader[:3] += 0.75 * CYCLE_S * toward * [-1.0, -1.0, 1.0]
+            slack += float(follower.slack_m[RESERVE])
+        reserve[make] = slack
+    assert reserve[QpFollower] > 0.0
+    assert reserve[EscapingFollower] == 0.0
 
 
 @pytest.mark.long

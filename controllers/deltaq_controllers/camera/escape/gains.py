@@ -30,8 +30,8 @@ class EscapeGains(NamedTuple):
         distance: per squared m of the view distance's error at the end, once.
         better: a rival takes over if it costs less than this part of the course that is held.
         acts_above: cost of the best course from which on it leads the arm.
-        led_evasion_weight, led_weight: of the programme's rows while it leads: along the course, and of distance and
-            joint margin, which the course has weighed already.
+        led_evasion_weight, led_weight: of the programme's rows while it leads: of each joint that it leads, and of
+            distance and joint margin, which the course has weighed already.
     """
 
     step_s: float = 0.08
