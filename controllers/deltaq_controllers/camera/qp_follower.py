@@ -45,7 +45,7 @@ MOST_PAIRS = 16
 """Pairs of bodies that one programme takes into account: the nearest in proportion to their range."""
 
 
-class Retreat(NamedTuple):
+class Withdrawal(NamedTuple):
     """What gets the arm out of the way, and the weights of all tasks meanwhile."""
 
     evasion: Evasion
@@ -204,14 +204,14 @@ class QpFollower:
             self._cycle_s,
         )
 
-    def _retreat(self, q: Array, _dq_last: Array, _focus: Array, evade: bool) -> Retreat:
+    def _retreat(self, q: Array, _dq_last: Array, _focus: Array, evade: bool) -> Withdrawal:
         """How to get out of the way at `q` (n,) while somebody is near, to which `_dq_last` (n,) has led."""
         away = self._evasion(q) if evade else np.zeros_like(q)
         size = math.sqrt(float((away * away).sum()))
         # a target that stands still moves nothing: what it leaves free does not drift
         room = self._room(q) if evade or self.focus is None else np.zeros_like(q)
         evasion = Evasion((away / max(size, 1e-9))[None], np.array([size]), room)
-        return Retreat(evasion, self._gains_near if evade else self._gains_alone)
+        return Withdrawal(evasion, self._gains_near if evade else self._gains_alone)
 
     def _kept(self) -> Keeping:
         """How distances are kept in this cycle."""

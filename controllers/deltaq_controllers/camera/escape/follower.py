@@ -16,7 +16,7 @@ from deltaq_controllers.camera.escape.gains import EscapeGains
 from deltaq_controllers.camera.escape.plan import EscapePlan
 from deltaq_controllers.camera.escape.pursuit import Pursuit
 from deltaq_controllers.camera.escape.rollout import CourseStart
-from deltaq_controllers.camera.qp_follower import QpFollower, Retreat
+from deltaq_controllers.camera.qp_follower import QpFollower, Withdrawal
 from deltaq_controllers.camera.qp_tasks import Evasion
 from deltaq_controllers.surroundings.barriers import Keeping
 from deltaq_protocol.arrays import Array
@@ -43,7 +43,7 @@ class EscapingFollower(QpFollower):
         self._plan = EscapePlan(self._arm, self._escape_gains, self._cycle_s)
         self._pursuit = Pursuit(self._scene)
 
-    def _retreat(self, q: Array, dq_last: Array, focus: Array, evade: bool) -> Retreat:
+    def _retreat(self, q: Array, dq_last: Array, focus: Array, evade: bool) -> Withdrawal:
         camera = self._camera
         attacker = self._pursuit.update(self.leader_seen, camera.origins(), camera.position)
         start = CourseStart(q, dq_last / self._cycle_s, focus, float(self.desired_distance_m))
@@ -51,7 +51,7 @@ class EscapingFollower(QpFollower):
         if not self._is_led:
             return super()._retreat(q, dq_last, focus, evade)
         # a row for each joint: along the course alone, the joint with the greatest acceleration would do it all
-        return Retreat(Evasion(self._led, self._led @ rates, self._room(q)), self._gains_led)
+        return Withdrawal(Evasion(self._led, self._led @ rates, self._room(q)), self._gains_led)
 
     @property
     def _is_led(self) -> bool:
