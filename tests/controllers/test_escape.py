@@ -234,27 +234,24 @@ def test_what_a_tool_is_after_is_told_from_its_way(target: int) -> None:
 @pytest.mark.parametrize("target", [LENS, 2])
 def test_a_tool_that_has_been_slipped_past_is_still_after_the_same_point(target: int) -> None:
     joints, lens = FR.joint_origins(FR.home), FR.camera_pose(FR.home)[:3, 3]
+    points, pursued = np.vstack([lens, joints]), target - LENS
     pursuit, stick, q = Pursuit(SCENE), HomingStick(0.5, CYCLE_S), np.array(GR.home)
-    stays = []
+    told = []
     for cycle in range(240):
-        tool = GR.forward(q)[:3, 3]
-        point = (lens if target == LENS else joints[target]).copy()
-        if cycle >= 80:  # it is a metre behind the tool now, and the others are where they were
-            point += 2.0 * (GR.forward(GR.home)[:3, 3] - point)
-        moved = np.vstack([joints])
-        moved[target if target != LENS else 0] = point if target != LENS else joints[0]
-        stick.point = point
+        if (
+            cycle == 80
+        ):  # as far behind the tool's home as it was in front, and the others stay where they are
+            points[pursued] += 2.0 * (GR.forward(GR.home)[:3, 3] - points[pursued])
+        stick.point = points[pursued]
         velocity = np.zeros(GR.n)
-        velocity[:3] = stick.update(tool) * [-1.0, -1.0, 1.0]
-        attacker = pursuit.update(Moving(q, velocity), moved, point if target == LENS else lens)  # type: ignore[arg-type]
+        velocity[:3] = stick.update(GR.forward(q)[:3, 3]) * [-1.0, -1.0, 1.0]
+        attacker = pursuit.update(Moving(q, velocity), points[1:], points[0])  # type: ignore[arg-type]
         q = q + CYCLE_S * velocity
-        stays.append(attacker.target)
-    assert stays[60:] == [target] * 180
+        told.append(attacker.target)
+    assert told[60:] == [target] * 180
 
 
-def test_a_tool_that_goes_elsewhere_is_after_nothing_and_one_that_is_slowed_down_still_after_its_point() -> (
-    None
-):
+def test_a_tool_that_goes_elsewhere_is_after_nothing_and_a_slowed_one_after_its_point() -> None:
     joints, lens = FR.joint_origins(FR.home), FR.camera_pose(FR.home)[:3, 3]
     tool = GR.forward(GR.home)[:3, 3]
     away = tool + 5.0 * np.cross(lens - tool, [0.0, 0.0, 1.0])

@@ -1,8 +1,9 @@
 """The quadratic programme, led away from an attacker by a plan that looks seconds ahead.
 
 What corners a reactive follower is a joint's limit a few seconds on. So courses of the arm are tried on a model of
-both robots, and while the best one is in danger the programme follows it in place of the evasion of (12): every
-limit, every barrier and the view stay above it, as they stand above the evasion.
+both robots, and while the best one is in danger the programme follows it in place of the evasion of (12): limits,
+least distances and the view stay above it, as they stand above the evasion. Only the distance that others need to
+brake in is left to the course, which has foreseen where they go.
 """
 
 from __future__ import annotations
@@ -33,7 +34,6 @@ class EscapingFollower(QpFollower):
         )
         self._arm = arm_of(self._scene)
         self._led = np.eye(len(self._arm.leads))[self._arm.leads > 0.0]
-        # a course knows already where the other robot will be
         self._keeping_led = self._keeping._replace(reaction_s=0.0, others_brake_m_s2=math.inf)
         self._think_anew()
         super()._warm_up()
