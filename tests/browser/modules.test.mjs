@@ -342,7 +342,7 @@ test("a stick rests in its dead zone and reaches full speed at its end", () => {
 const layout = JSON.parse(process.env.DELTAQ_PAD);
 const place = Object.fromEntries(layout.controls.map((control) => [control.function, control.standard]));
 /** A pad as browsers tell it, with that held and the sticks so. */
-const pad = (held = [], axes = [0, 0, 0, 0]) => ({ connected: true, index: 0, axes, buttons: Array.from({ length: 17 }, (_, k) => ({ pressed: held.some((what) => place[what] === k), value: Number(held.some((what) => place[what] === k)) })) });
+const pad = (held = [], axes = [0, 0, 0, 0]) => ({ id: "a pad", mapping: "standard", connected: true, index: 0, axes, buttons: Array.from({ length: 17 }, (_, k) => ({ pressed: held.some((what) => place[what] === k), value: Number(held.some((what) => place[what] === k)) })) });
 
 test("sticks count only while a shoulder button is held: move goes along x, y, z, and turn about them", () => {
   const driven = { isByJoints: false, share: 1, mode: "coupled" };
@@ -362,11 +362,11 @@ test("in a mode of ways the left stick, pushed ahead, goes along the chosen one"
 });
 
 /** The gamepad of a page, before a robot of three joints and two outputs, and what it has asked for. */
-function plugged(t, { mode = "coupled", isByJoints = false, held = [] } = {}) {
+function plugged(t, { mode = "coupled", isByJoints = false, held = [], first = pad(held) } = {}) {
   mock.timers.reset(); // the pad before it
   mock.timers.enable({ apis: ["setInterval", "setTimeout"] });
   t.after(() => mock.timers.reset());
-  const world = { pad: pad(held), done: [] };
+  const world = { pad: first, done: [] };
   Object.defineProperty(globalThis, "navigator", { configurable: true, value: { getGamepads: () => [world.pad] } });
   globalThis.document.hasFocus = () => true;
   const done = (what) => (...values) => world.done.push([what, ...values]);
@@ -390,6 +390,67 @@ function plugged(t, { mode = "coupled", isByJoints = false, held = [] } = {}) {
   mock.timers.tick(30);
   return world;
 }
+
+/** A pad that the browser does not map: its axes, and which of its buttons are down. */
+const raw = (id, count, axes, down = []) => ({ id, mapping: "", connected: true, index: 0, axes, buttons: Array.from({ length: count }, (_, k) => ({ pressed: down.includes(k), value: Number(down.includes(k)) })) });
+const PADS = {
+  "045e-028e-Microsoft X-Box 360 pad": { count: 11, rest: [0, 0, -1, 0, 0, -1, 0, 0], stop: 1, move: 4, z: 4, on: 5 },
+  "Logitech Dual Action (Vendor: 046d Product: c216)": { count: 12, rest: [0, 0, 0, 0, 0, 0], stop: 2, move: 4, z: 3 },
+  "54c-9cc-Wireless Controller": { count: 14, rest: [0, 0, 0, -1, -1, 0], stop: 2, move: 4, z: 5, on: 4 },
+};
+
+test("a pad of an unknown layout is refused by its name: it moves, switches and stops nothing, whatever is pressed", (t) => {
+  const none = [0, 0, 0, -1, -1, 0];
+  const unknown = [raw("some pad", 14, none), raw("54c-9cc-Wireless Controller", 14, none.slice(1)), raw("54c-9cc-Wireless Controller", 4, none), { ...pad(), axes: [0, 0] }];
+  for (const one of unknown) {
+    const world = plugged(t, { first: one });
+    const shown = [];
+    world.gamepad.show = (...values) => shown.push(values);
+    for (const button of one.buttons.keys()) {
+      world.pad = { ...one, buttons: one.buttons.map((each, k) => (k === button ? { pressed: true, value: 1 } : each)) };
+      mock.timers.tick(30);
+    }
+    assert.deepEqual(world.done, [], one.id);
+    assert.deepEqual(shown[0].slice(0, 2), [{ ...one, buttons: shown[0][0].buttons }, null]);
+  }
+});
+
+for (const [id, { count, rest, stop, move, z, on }] of Object.entries(PADS)) {
+  test(`${id}: its own layout counts, and its triggers rest at -1`, (t) => {
+    const world = plugged(t, { first: raw(id, count, rest) });
+    const at = (axis, value) => rest.map((each, k) => (k === axis ? value : each));
+    const stand = (axes, down) => {
+      world.pad = raw(id, count, axes, down);
+      mock.timers.tick(30);
+      return world.done.splice(0).filter(([what]) => what !== "rest");
+    };
+    assert.deepEqual(stand(rest, [move]).flat(), [], "the sticks are not touched");
+    const [[, , wish]] = stand(at(z, -1), [move]);
+    assert.ok(wish[2] > 0 && !wish[0] && !wish[1], "the right stick, pushed ahead, lifts");
+    assert.deepEqual(stand(rest, [stop]), [["stop"]]);
+    if (on !== undefined) assert.deepEqual(stand(at(on, 1), []), [["output", 0, true]]);
+  });
+}
+
+test("until each axis was seen at rest nothing but STOP counts, also on a pad whose layout is not what its browser says", (t) => {
+  const world = plugged(t, { first: pad([], [0, 0, 0, -1]) });
+  const ahead = [0, -1, 0, -1];
+  assert.match(world.gamepad.waitsFor(world.pad), /axis 3 stands at -1.00/);
+  assert.deepEqual([...world.stand(["move"], ahead), ...world.stand([], ahead), ...world.stand(["move", "mode"], ahead)].filter((what) => what !== "rest"), []);
+  assert.deepEqual(world.stand(["stop"], ahead).includes("stop"), true);
+  world.stand(["move"], [0, 0, 0, 0]);
+  assert.deepEqual(world.stand(["move"], [0, -1, 0, 0]), ["rest"], "the button was held as the pad was armed");
+  world.stand([], [0, -1, 0, 0]);
+  assert.deepEqual(world.stand(["move"], [0, -1, 0, 0]), ["hold"]);
+});
+
+test("a known pad is taken in the place of an unknown one", (t) => {
+  const world = plugged(t, { first: raw("some pad", 14, [0, 0]) });
+  world.pad = pad();
+  page.dispatchEvent(Object.assign(new Event("gamepadconnected"), { gamepad: world.pad }));
+  mock.timers.tick(30);
+  assert.deepEqual(world.press("mode"), [["mode"]]);
+});
 
 test("each button of the layout does what the layout says, once", (t) => {
   const { press } = plugged(t);

@@ -19,7 +19,7 @@ PAD = """(() => {
     window.pad = {
         stand(held, axes) {
             const buttons = Array.from({length: 17}, (_, k) => button(held.includes(k)));
-            pads[0] = {index: 0, connected: true, axes, buttons};
+            pads[0] = {id: "a pad", mapping: "standard", index: 0, connected: true, axes, buttons};
         },
         plug() { this.stand([], [0, 0, 0, 0]); tell("gamepadconnected"); },
         unplug() { pads[0] = null; tell("gamepaddisconnected"); },

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 CYCLES = 20
 """Cycles of each wish; then as many again to come to rest."""
-CREEP_RAD = 5e-4
+CREEP_RAD = 1e-4
 """Way of a master's first joint in each cycle."""
 
 

@@ -83,11 +83,32 @@ def test_what_is_held_as_the_drive_begins_has_to_be_let_go_first(pad: VirtualPad
         pad.release(MOVE)
         assert gamepad.look() == REST
         pad.press(MOVE)
-        assert gamepad.look().rates == {"x": 0.0, "y": 0.0, "z": 0.0}, "the stick is still pushed"
+        pad.press(PadButton.Y)
+        assert gamepad.look() == REST, "the stick is still pushed"
+        assert gamepad.status == "let go of left y: nothing moves until each was at rest; B ends"
         pad.push(StickAxis.LEFT_Y, 0.0)
-        assert not any(gamepad.look().rates.values())
+        assert gamepad.look() == REST, "the button was held as the pad was armed"
+        pad.release(MOVE)
+        pad.press(MOVE)
         pad.push(*AHEAD)
         assert gamepad.look().rates["x"] == pytest.approx(0.1)
+
+
+def test_a_stick_or_trigger_that_never_rests_leaves_the_whole_pad_unarmed_but_for_the_button_that_ends(
+    pad: VirtualPad,
+) -> None:
+    # as a trigger does whose axis is taken for a stick's
+    pad.push(StickAxis.RIGHT_Y, -1.0)
+    pad.pull(Trigger.LEFT, 0.5)
+    with Settled(teleoperator()) as gamepad:
+        pad.press(MOVE, PadButton.A, PadButton.RIGHT)
+        pad.push(*AHEAD)
+        pad.pull(Trigger.RIGHT, 1.0)
+        assert gamepad.look() == REST
+        assert gamepad.status.startswith("let go of right y, left trigger:")
+        assert (gamepad.hand, gamepad.status.count("m/s")) == (None, 0)
+        pad.press(PadButton.B)
+        assert gamepad.read(gamepad.time_s + CYCLE_S) is None
 
 
 def test_what_a_pad_tells_of_itself_as_it_is_found_is_no_press(pad: VirtualPad) -> None:

@@ -16,7 +16,7 @@ from deltaq_controllers.modes.motion import Frame, Grip, ModeName, OperatorComma
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.interface import OperatorInput
 from deltaq_controllers.operator_input.led_pose import JUMP_M, SLACK_M, LedPose, PlacedTool
-from deltaq_controllers.operator_input.master import MOST_M_S, STALE_S, Master
+from deltaq_controllers.operator_input.master import MOST_M_S, REST_S, STALE_S, Master
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Outcome
 from deltaq_verification.virtual_cell.cell import VirtualCell
@@ -61,6 +61,13 @@ class Led:
         self._cycle = 0
         self.input = Master(self.slave.teleoperator, self.leader.robot, self._look, self.clutch, scale)
         self.time_s = 0.0
+        self.rest()
+
+    def rest(self) -> None:
+        """The master stands, uncoupled, until it counts; then it is coupled."""
+        self.clutch.is_clutched = False
+        self.drive(REST_S + 2 * CYCLE_S)
+        self.clutch.is_clutched = True
 
     def _look(self) -> tuple[RobotView | None, RobotView | None]:
         self._cycle += self.is_seen
@@ -127,9 +134,20 @@ def test_a_master_that_falls_silent_is_rest_until_it_is_coupled_anew() -> None:
     assert "is not seen: couple it again" in led.input.status
     led.is_seen = True
     assert led.drive(0.3, x=0.1).rates == {}, "what it did meanwhile is not made up"
-    led.clutch.is_clutched = False
-    led.drive(CYCLE_S)
-    led.clutch.is_clutched = True
+    led.rest()
+    assert led.drive(0.5, x=0.1).rates["x"] > 0.03
+
+
+def test_a_master_that_moves_as_it_is_found_leads_nothing_until_it_was_at_rest() -> None:
+    led = Led()
+    led.input = Master(led.slave.teleoperator, led.leader.robot, led._look, led.clutch, 1.0)
+    for is_clutched in (False, True, False, True):
+        led.clutch.is_clutched = is_clutched
+        assert led.drive(0.5, x=0.1) == OperatorCommand()
+    assert "fr moves: let it rest, then couple it" in led.input.status
+    led.drive(1.0)
+    assert led.drive(0.5, x=0.1) == OperatorCommand(), "it was coupled while it moved"
+    led.rest()
     assert led.drive(0.5, x=0.1).rates["x"] > 0.03
 
 
@@ -270,10 +288,11 @@ def test_one_robot_of_a_cell_leads_the_other_through_the_gate() -> None:
 
     master = Master(drive.teleoperator, model("fr"), lambda: (view("fr"), view("gr")), clutch, 0.5)
     start = tool("fr"), tool("gr")
-    for cycle in range(150):
+    for cycle in range(170):
         stack.cycle()
-        leader.command = OperatorCommand({"z": 0.15} if cycle < 80 else {})
+        leader.command = OperatorCommand({"z": 0.15} if 20 < cycle < 100 else {})
         stack.ask("fr", leader.increment(View(view("fr"))))
+        clutch.is_clutched = cycle > 20
         command = master.read(view("gr").time_s)
         assert command is not None
         assert np.linalg.norm([command.rates.get(axis, 0.0) for axis in "xyz"]) <= MOST_M_S + 1e-9
@@ -303,11 +322,13 @@ def test_a_twin_that_is_moved_joint_by_joint_leads_its_arm_through_the_gate(tmp_
     def tools() -> list[Array]:
         return [robot.forward(view(robot.name).q) for robot in (twin, arm)]
 
-    master = Master(teleoperator, twin, lambda: (view("twin"), view("arm")), Clutch(), 0.25)
+    clutch = Clutch()
+    master = Master(teleoperator, twin, lambda: (view("twin"), view("arm")), clutch, 0.25)
     before, outcomes = tools(), set()
-    for cycle in range(350):
+    for cycle in range(-20, 350):
         stack.cycle()
-        pace = 8e-4 * min(1.0, cycle / 40, max(0.0, (180 - cycle) / 40))
+        clutch.is_clutched = cycle >= 0
+        pace = 8e-4 * min(1.0, max(0.0, cycle / 40), max(0.0, (180 - cycle) / 40))
         moved = stack.ask("twin", pace * np.array([1.0, 0.4, -0.6, 0.2, 0.3, 0.5]))
         command = master.read(view("arm").time_s)
         assert command is not None

@@ -181,6 +181,7 @@ def test_the_hand_follows_while_the_wish_lasts_and_rests_when_it_ends():
     led = Led()
     led.bench.pilot.wishes.choose_master("fr", 0.5)
     began = led.hand()
+    led.drive(20)
     led.drive(50, z=0.1)
     assert led.hand() == pytest.approx(began, abs=1e-9), "it was chosen, and not coupled"
     led.drive(200, HELD, z=0.1)

@@ -26,6 +26,7 @@ class _Description(ctypes.Structure):
 
 _JOYSTICK, _GAMECONTROLLER = 0x200, 1
 _AXES, _BUTTONS = 6, 15
+_TRIGGERS = (4, 5)
 
 
 def _sdl() -> ctypes.CDLL:
@@ -65,6 +66,8 @@ class VirtualPad:
         self._index = self._sdl.SDL_JoystickAttachVirtualEx(ctypes.byref(self._description))
         assert self._index >= 0, self._sdl.SDL_GetError()
         self._pad = ctypes.c_void_p(self._sdl.SDL_JoystickOpen(self._index))
+        for trigger in _TRIGGERS:
+            self.pull(trigger, 0.0)
 
     def pull_out(self) -> None:
         assert self._sdl.SDL_JoystickDetachVirtual(self._index) == 0, self._sdl.SDL_GetError()

@@ -70,6 +70,7 @@ class Gamepad(OperatorInput):
         self._device = PadDevice()
         self._speed_m_s = speed_m_s
         self._held: frozenset[PadButton] = frozenset()
+        self._waits_for: tuple[str, ...] = ()
         self.joint = 0
         self.option = 1
         self.hand: str | None = None
@@ -80,6 +81,8 @@ class Gamepad(OperatorInput):
         """The present choice."""
         if not self._device.name:
             return "the gamepad is unplugged: rest"
+        if self._waits_for:
+            return f"let go of {', '.join(self._waits_for)}: nothing moves until each was at rest; B ends"
         if self._is_advised:
             chosen = f"option {self.option}"
         elif self._is_by_hand:
@@ -115,13 +118,15 @@ class Gamepad(OperatorInput):
         if state is None:
             self._held = frozenset()
             return OperatorCommand()
-        self._held = state.held
+        self._held, self._waits_for = state.held, state.waits_for
         mode: ModeName | None = None
         frame: Frame | None = None
         for button in state.pressed:
             match BUTTONS[button]:
                 case PadFunction.STOP:
                     return None
+                case _ if state.waits_for:
+                    continue
                 case PadFunction.MODE:
                     mode = next_mode(self._teleoperator)
                 case PadFunction.FRAME:

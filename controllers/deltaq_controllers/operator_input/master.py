@@ -26,6 +26,9 @@ STALE_S = 0.15
 MOST_M_S, MOST_RAD_S = 0.5, 1.75
 """Greatest speed that a master asks for."""
 
+STILL, REST_S = 0.002, 0.1
+"""A master counts once none of its joints has moved farther [rad or m] for so long [s] since it was found."""
+
 LookAtBoth = Callable[[], tuple[RobotView | None, RobotView | None]]
 """The newest views of the master and of the robot that is driven."""
 
@@ -58,7 +61,8 @@ class Clutch(OperatorInput, Protocol):
 class Master(OperatorInput):
     """Commands from the measured motion of another robot's tool.
 
-    A master that is not seen any more, or that jumped, is uncoupled until the operator couples it again.
+    A master leads once it was seen at rest. One that is not seen any more, or that jumped, is uncoupled until the
+    operator couples it again.
 
     Args:
         teleoperator: the robot that is driven.
@@ -83,6 +87,8 @@ class Master(OperatorInput):
         self._must_release = False
         self._seen: tuple[int, float] | None = None
         self._trouble = ""
+        self._stands: tuple[float, Array] | None = None
+        self._has_rested = False
 
     @property
     def status(self) -> str:
@@ -109,6 +115,8 @@ class Master(OperatorInput):
             self._uncouple(f"leads no hand in mode {teleoperator.mode.value}")
         elif seen is None:
             self._uncouple("is not seen: couple it again")
+        elif not self._has_rested:
+            self._uncouple("moves: let it rest, then couple it")
         if seen is None or self._must_release:
             return {}
         master, own = seen
@@ -142,7 +150,13 @@ class Master(OperatorInput):
             return None
         if self._seen is None or self._seen[0] != master.cycle:
             self._seen = master.cycle, time_s
-        return (master, own) if time_s - self._seen[1] <= STALE_S else None
+        if time_s - self._seen[1] > STALE_S:
+            self._stands, self._has_rested = None, False
+            return None
+        if self._stands is None or np.abs(master.q - self._stands[1]).max() > STILL:
+            self._stands = time_s, master.q
+        self._has_rested |= time_s - self._stands[0] >= REST_S
+        return master, own
 
     def _tool(self, q: Array) -> PlacedTool:
         self._master.place(q)

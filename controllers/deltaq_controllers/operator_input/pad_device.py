@@ -1,7 +1,7 @@
 """A gamepad as SDL knows it: its database of mappings gives sticks and buttons the same names on every pad.
 
-What is held or pushed when a pad is found was not meant for the robot: a button counts from its next press on, a stick
-or a trigger once it has been let go. Pads come and go while one looks.
+A pad counts once every stick and trigger has been seen at rest since it was found. Until then its presses are told, for
+the button that ends the drive, and nothing is held. Pads come and go while one looks.
 """
 
 from __future__ import annotations
@@ -76,12 +76,14 @@ class PadState:
         held: buttons that are held, since a press that was seen.
         pressed: buttons that went down since the last look, in their order.
         pulled: triggers that were pulled since the last look.
+        waits_for: sticks and triggers that were not seen at rest yet, in words; the pad counts once there are none.
     """
 
     sticks: Mapping[StickAxis, float]
     held: frozenset[PadButton] = frozenset()
     pressed: tuple[PadButton, ...] = ()
     pulled: tuple[Trigger, ...] = ()
+    waits_for: tuple[str, ...] = ()
 
 
 class PadDevice:
@@ -99,7 +101,7 @@ class PadDevice:
         self._instance = -1
         self._settled_s: float | None = None
         self._held: set[PadButton] = set()
-        self._let_go: set[StickAxis] = set()
+        self._stirred: set[StickAxis | Trigger] = set()
         self._ready: set[Trigger] = set()
         self._is_rumbling = False
 
@@ -114,7 +116,16 @@ class PadDevice:
             self._settled_s = time_s + SETTLE_S
         if time_s < self._settled_s:
             return PadState(dict.fromkeys(StickAxis, 0.0))
-        return PadState(self._sticks(), *self._buttons(events), self._pulled())
+        sticks, (held, pressed), pulled = self._sticks(), self._buttons(events), self._pulled()
+        self._stirred -= {stick for stick, share in sticks.items() if not share} | self._ready
+        if self._stirred:
+            self._held.clear()
+            waits_for = tuple(
+                f"{axis.name.lower()}{'_trigger' * isinstance(axis, Trigger)}".replace("_", " ")
+                for axis in sorted(self._stirred)
+            )
+            return PadState(dict.fromkeys(StickAxis, 0.0), pressed=pressed, waits_for=waits_for)
+        return PadState(sticks, held, pressed, pulled)
 
     def rumble(self, strength: float) -> None:
         """Have the pad rumble, 0 to 1, until the next call; no effect on a pad that cannot rumble."""
@@ -126,9 +137,7 @@ class PadDevice:
         self._pad.rumble(level, 0.0, round(1000 * RUMBLE_S))
 
     def _sticks(self) -> dict[StickAxis, float]:
-        sticks = {stick: beyond_dead_zone(self._pad.get_axis(stick) / _FULL) for stick in StickAxis}
-        self._let_go |= {stick for stick, share in sticks.items() if not share}
-        return {stick: share if stick in self._let_go else 0.0 for stick, share in sticks.items()}
+        return {stick: beyond_dead_zone(self._pad.get_axis(stick) / _FULL) for stick in StickAxis}
 
     def _pulled(self) -> tuple[Trigger, ...]:
         shares = {trigger: self._pad.get_axis(trigger) / _FULL for trigger in Trigger}
@@ -154,6 +163,7 @@ class PadDevice:
                 self._pad = self._controller.Controller(index)
                 self._instance = self._pad.as_joystick().get_instance_id()
                 self.name = self._pad.name
+                self._stirred = {*StickAxis, *Trigger}
                 return True
         return False
 
@@ -161,7 +171,6 @@ class PadDevice:
         self._pad.quit()
         self._pad, self.name, self._settled_s = None, "", None
         self._held.clear()
-        self._let_go.clear()
         self._ready.clear()
         self._is_rumbling = False
 
@@ -185,7 +194,9 @@ class PadDevice:
         self._pygame, self._controller = pygame, controller
         pygame.event.get()
         if not self._find():
-            others = controller.get_count()
+            others = [
+                controller.name_forindex(index) or "a joystick" for index in range(controller.get_count())
+            ]
             self._close()
             raise ControllerError(_nothing_found(others))
         return self
@@ -204,10 +215,10 @@ class PadDevice:
         self._pygame.display.quit()
 
 
-def _nothing_found(others: int) -> str:
+def _nothing_found(others: list[str]) -> str:
     if others:
         return (
-            f"no gamepad among {others} joysticks: SDL has no mapping for them; "
+            f"{', '.join(others)}: not used, since SDL has no mapping for it; "
             "set SDL_GAMECONTROLLERCONFIG, or use the keyboard or `--script`"
         )
     return "no gamepad is plugged in, or this user may not read it; plug one in, or use the keyboard or `--script`"

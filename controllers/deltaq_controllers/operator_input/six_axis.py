@@ -46,7 +46,7 @@ class SixAxisState:
 
 
 class SixAxis:
-    """Where a cap stands, report by report. A deflection counts once the cap has been let go in that axis.
+    """Where a cap stands, report by report. A deflection counts once every axis was at rest since the device was found.
 
     Attributes:
         ignored: reports that were malformed, or of a kind that says nothing of cap and buttons.
@@ -84,6 +84,11 @@ class SixAxis:
             self._raw = [None if number else 0 for number in self._raw]
         return SixAxisState(self._rates(), self._held, tuple(pressed))
 
+    @property
+    def is_armed(self) -> bool:
+        """Whether every axis was at rest since the device was found, or since it fell silent while it was deflected."""
+        return len(self._let_go) == len(HAND_AXES)
+
     def _take(self, report: bytes) -> bool:
         """Whether a report was understood."""
         if not report:
@@ -114,6 +119,5 @@ class SixAxis:
             share = beyond_dead_zone(number / FULL)
             if not share:
                 self._let_go.add(place)
-            elif place in self._let_go:
-                rates[axis] = -share
-        return rates
+            rates[axis] = -share
+        return rates if self.is_armed else dict.fromkeys(HAND_AXES, 0.0)

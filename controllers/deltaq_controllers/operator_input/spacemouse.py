@@ -43,6 +43,8 @@ class SpaceMouse(OperatorInput):
         if not self._device.name:
             return f"{self._keyboard.status}, the SpaceMouse is unplugged"
         ignored = f", {self._cap.ignored} reports ignored" if self._cap.ignored else ""
+        if not self._cap.is_armed:
+            return f"{self._keyboard.status}, let the cap go: nothing moves until it was at rest{ignored}"
         return f"{self._keyboard.status}, {'held' if self._is_held else 'hold the left button'}{ignored}"
 
     @property

@@ -11,17 +11,19 @@ const PARTS = {
   y: [226, 54, 10, null, "Y"], x: [206, 74, 10, null, "X"], b: [246, 74, 10, null, "B"], a: [226, 94, 10, null, "A"],
 };
 const STICKS = [["left_stick", 74, 76], ["right_stick", 196, 122]];
+const STOP_PLACE = "the right one of the four round buttons";
 const NAMES = { left_stick: "L press", back: "⧉ back", start: "≡ start", up: "▴", down: "▾", left: "◂", right: "▸" };
 
 /** @param layout of scene.json. */
 export function padDrawing(layout, driven) {
   const words = Object.fromEntries(layout.controls.map((control) => [control.name, control.words]));
+  const functions = Object.fromEntries(layout.controls.map((control) => [control.name, control.function]));
   const shapes = {};
   const shapeOf = ([name, [x, y, width, height, text]]) => {
     const shape = height ? el("rect", { x, y, width, height, rx: 4 }) : el("circle", { cx: x, cy: y, r: width });
     shapes[name] = shape;
     const [cx, cy] = height ? [x + width / 2, y + height / 2] : [x, y];
-    return el("g", {}, el("title", {}, words[name]), shape, el("text", { x: cx, y: cy + 3.2 }, text));
+    return el("g", { "data-function": functions[name] }, el("title", {}, words[name]), shape, el("text", { x: cx, y: cy + 3.2 }, text));
   };
   const sticks = STICKS.map(([name, x, y]) => ({ x, y, name, dot: el("circle", { cx: x, cy: y, r: 13, class: "stick" }) }));
   shapes.left_stick = sticks[0].dot;
@@ -45,19 +47,24 @@ export function padDrawing(layout, driven) {
     return "Left stick x, y; right stick z";
   }
 
-  function show(pad, gamepad) {
-    box.dataset.plugged = String(!!pad);
-    if (!pad) {
-      say(doing, "No gamepad. Connect one and press one of its buttons.");
+  function show(pad, standard, gamepad) {
+    box.dataset.plugged = String(!!standard);
+    if (!standard) {
+      say(doing, pad ? `${pad.id}: not used, its layout is not known. It has no STOP: press Esc, or STOP on the page. Another browser may know it.` : "No gamepad. Connect one and press one of its buttons.");
       return;
     }
-    for (const { name, standard } of layout.controls) shapes[name].toggleAttribute("data-lit", !!pad.buttons[standard]?.pressed);
+    for (const { name, standard: place } of layout.controls) shapes[name].toggleAttribute("data-lit", !!standard.buttons[place]?.pressed);
     sticks.forEach(({ x, y, dot }, index) => {
-      dot.setAttribute("cx", x + 6 * (pad.axes[2 * index] ?? 0));
-      dot.setAttribute("cy", y + 6 * (pad.axes[2 * index + 1] ?? 0));
+      dot.setAttribute("cx", x + 6 * standard.axes[2 * index]);
+      dot.setAttribute("cy", y + 6 * standard.axes[2 * index + 1]);
     });
+    const waits = gamepad.waitsFor(pad);
+    if (waits) {
+      say(doing, `Let go of sticks and triggers: nothing moves until each was at rest (${waits}). STOP is ${STOP_PLACE}.`);
+      return;
+    }
     const output = driven.scenery.outputs[gamepad.output % driven.scenery.outputs.length];
-    say(doing, `${sticksWords(gamepad)}, while a shoulder button is held.${output ? ` Triggers: ${output.replaceAll("_", " ")}.` : ""}`);
+    say(doing, `${sticksWords(gamepad)}, while a shoulder button is held. STOP is ${STOP_PLACE}.${output ? ` Triggers: ${output.replaceAll("_", " ")}.` : ""}`);
   }
   show(null);
   return { box, show };
