@@ -75,6 +75,17 @@ def test_no_gamepad_says_what_to_use(pad: VirtualPad) -> None:
         Gamepad(teleoperator()).__enter__()
 
 
+def test_a_joystick_without_a_mapping_is_refused_by_name(pad: VirtualPad) -> None:
+    pad.pull_out()
+    with (
+        VirtualPad(unknown_type=True),
+        pytest.raises(
+            ControllerError, match=r"Virtual Controller: not used, since SDL has no mapping for it"
+        ),
+    ):
+        Gamepad(teleoperator()).__enter__()
+
+
 def test_what_is_held_as_the_drive_begins_has_to_be_let_go_first(pad: VirtualPad) -> None:
     pad.press(MOVE)
     pad.push(*AHEAD)

@@ -45,13 +45,18 @@ class VirtualPad:
 
     Attributes:
         rumbles: strength of each rumble that it was told, 0 to 1; one of a pad `without_motors` is told none.
+            One of `unknown_type` has no mapping.
     """
 
-    def __init__(self, without_motors: bool = False) -> None:
+    def __init__(self, without_motors: bool = False, unknown_type: bool = False) -> None:
         self._sdl = _sdl()
         self.rumbles: list[float] = []
         self._description = _Description(
-            version=1, type=_GAMECONTROLLER, naxes=_AXES, nbuttons=_BUTTONS, name=b"Virtual Controller"
+            version=1,
+            type=0 if unknown_type else _GAMECONTROLLER,
+            naxes=_AXES,
+            nbuttons=_BUTTONS,
+            name=b"Virtual Controller",
         )
         if not without_motors:
             self._description.Rumble = _Rumble(self._rumble)

@@ -194,9 +194,8 @@ class PadDevice:
         self._pygame, self._controller = pygame, controller
         pygame.event.get()
         if not self._find():
-            others = [
-                controller.name_forindex(index) or "a joystick" for index in range(controller.get_count())
-            ]
+            pygame.joystick.init()
+            others = [pygame.joystick.Joystick(index).get_name() for index in range(controller.get_count())]
             self._close()
             raise ControllerError(_nothing_found(others))
         return self
