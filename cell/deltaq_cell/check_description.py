@@ -131,15 +131,14 @@ class DescriptionCheck:
                 yield self._at(field, str(error), robot.driver.ethernet_xml)
 
     def _cycle(self, name: str, robot: RobotDescription) -> Iterator[Problem]:
-        """The cell's cycle is a whole number of the KRC's."""
+        """The cell's cycle is one that the KRC can have: each of its telegrams takes one increment."""
         if not isinstance(robot.driver, RsiDescription):
             return
         cycles = KRC_CYCLES_S[robot.driver.krc]
-        multiples = [self._cell.cycle_s / cycle for cycle in cycles]
-        if not any(math.isclose(m, round(m), abs_tol=1e-6) and round(m) >= 1 for m in multiples):
+        if not any(math.isclose(self._cell.cycle_s, cycle, abs_tol=1e-9) for cycle in cycles):
             allowed = " or ".join(f"{1000 * cycle:g} ms" for cycle in cycles)
             message = (
-                f"{1000 * self._cell.cycle_s:g} ms is no multiple of the cycle of robots.{name}.driver.krc "
+                f"{1000 * self._cell.cycle_s:g} ms is not the cycle of robots.{name}.driver.krc "
                 f"'{robot.driver.krc}', which is {allowed}"
             )
             yield self._at(("cycle_s",), message, self._cell.cycle_s, cycles[0])
@@ -147,7 +146,7 @@ class DescriptionCheck:
     def _krc_files(self, name: str, robot: RobotDescription) -> Iterator[Problem]:
         """The KRC's files can be safe and agree with the cell."""
         try:
-            found = judge_krc_files(self._path, robot)
+            found = judge_krc_files(self._path, robot, self._cell.cycle_s)
         except FileNotFoundError:
             return  # reported as a reference that leads nowhere
         for finding in found:

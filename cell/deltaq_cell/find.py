@@ -59,13 +59,14 @@ def find_cell(name_or_path: str | Path) -> Path:
 
 
 def resolve_near(cell_file: str | Path, name: str | Path) -> Path:
-    """The path of a file that a cell names, e.g. its `ethernet_xml`.
+    """The path of a KRC's file that a cell names, e.g. its `ethernet_xml`.
 
     It is looked up beside the cell's file, then in the folder `krc` beside the cell's folder, then likewise
-    for every folder of `cell_folders`. An absolute path is not searched for.
+    for every folder of `cell_folders`. An absolute path is not searched for. Names ignore case, as on a KRC; of
+    several that differ by case alone, the one that is written as in the cell counts.
 
     Raises:
-        FileNotFoundError: it is in none of them; the message says where it was searched for.
+        FileNotFoundError: it is in none of them, or several differ from it by case alone; the message says where.
     """
     if Path(name).is_absolute():
         candidates = [Path(name)]
@@ -75,8 +76,24 @@ def resolve_near(cell_file: str | Path, name: str | Path) -> Path:
     for candidate in candidates:
         if candidate.is_file():
             return candidate
+        same = same_to_a_krc(candidate.parent, candidate.name)
+        if len(same) > 1:
+            names = " and ".join(file.name for file in same)
+            raise FileNotFoundError(
+                f"no file '{name}': {names} in {candidate.parent} are one name to a KRC; keep the one that it has "
+                "loaded"
+            )
+        if same:
+            return same[0]
     looked = ", ".join(dict.fromkeys(str(candidate.parent) for candidate in candidates))
     raise FileNotFoundError(f"no file '{name}' in {looked}")
+
+
+def same_to_a_krc(folder: Path, name: str) -> list[Path]:
+    """Files of a folder that a KRC cannot tell from one of that name, since its names ignore case; sorted."""
+    if not folder.is_dir():
+        return []
+    return sorted(file for file in folder.iterdir() if file.name.lower() == name.lower() and file.is_file())
 
 
 @lru_cache(maxsize=1)

@@ -60,6 +60,6 @@ def _reasons(cell: CellDescription, file: Path, name: str) -> Iterator[str]:
         )
     elif driver.krc_address == driver.address:
         yield f"{where}.krc_address: {driver.krc_address} is this machine's own, as driver.address says"
-    for finding in judge_krc_files(file, robot):
+    for finding in judge_krc_files(file, robot, cell.cycle_s):
         if finding.severity == "error":
             yield f"{'.'.join((where, *finding.field))}: {finding}"

@@ -69,10 +69,12 @@ def test_the_judge_has_nothing_to_say_of_what_is_written(cell: str, robot: str, 
     plan, texts = written(cell, robot, rsi=rsi, address="192.168.10.10")
     driver = description.driver
     axes = AxisMap.of(description.joint_names, description.units, plan.krc)
-    station = Station(axes, plan.address, plan.port, driver.inputs, driver.outputs, driver.stop)  # type: ignore[union-attr]
+    station = Station(
+        axes, plan.address, plan.port, driver.inputs, driver.outputs, driver.stop, 0.001 * plan.cycle_ms
+    )  # type: ignore[union-attr]
     config = wire(plan, texts)
     assert judge(config, station) == ()
-    assert judge_program(texts[f"{plan.program}.src"], "program") == ()
+    assert judge_program(texts[f"{plan.program}.src"], "program", station) == ()
     if rsi == 3:
         context = parse_context(texts[f"{plan.program}.rsi.xml"], "context")
         assert judge_context(context, config, station) == ()

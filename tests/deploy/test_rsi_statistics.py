@@ -52,6 +52,14 @@ def test_delay_of_a_krc_that_nobody_answers_grows() -> None:
     assert (seen.delay, seen.delay_growth) == (50, 50)
 
 
+def test_a_stamp_of_more_than_32_bit_is_a_problem_and_gets_no_zeros() -> None:
+    own = [datagram.replace(b"<IPOC>", b"<IPOC>12") for datagram in telegrams(3)]
+    assert any("IPOC is 12" in problem and "32 bit" in problem for problem in watched(own).summary().problems)
+    zeros = ZeroEcho(Bench().pc)
+    assert [zeros.answer(datagram, KRC) for datagram in own] == [None] * 3
+    assert list(zeros.refusals) == ["IPOC has more than 32 bit, and a KRC's is at most 4294967295"]
+
+
 def test_a_kr_c2_is_known_by_its_first_telegram() -> None:
     seen = watched(telegrams(5, krc="krc2")).summary()
     assert seen.opened_with_ipoc_only
@@ -133,7 +141,7 @@ def test_what_the_cells_file_does_not_list_is_named_and_what_is_missing_too() ->
         b'<Sen Type="ImFree"><IPOC>1</IPOC></Sen>',
         b"\xff" * 300,
         b'<Rob Type="KUKA"><IPOC>1</IPOC>' + b" " * 5000,
-        b'<Rob Type="KUKA"><IPOC>12345678901</IPOC></Rob>',
+        b'<Rob Type="KUKA"><IPOC>123456789012345678901</IPOC></Rob>',
     ],
 )
 def test_what_is_no_telegram_is_counted_and_stops_nothing(datagram: bytes) -> None:

@@ -271,6 +271,35 @@ def test_what_is_no_context_is_told(text: str, message: str) -> None:
     ],
 )
 def test_relative_corrections_are_refused_where_a_program_tells(line: str, severity: str | None) -> None:
-    found = judge_program(f"DEF gr( )\n{line}\nEND\n", "gr.src")
+    found = judge_program(f"DEF gr( )\n{line}\nEND\n", "gr.src", CELL)
     assert [finding.severity for finding in found] == [severity] * (severity is not None)
     assert all(str(finding).startswith("gr.src: ") for finding in found)
+
+
+@pytest.mark.parametrize(
+    ("cycle_s", "arguments", "severity", "message"),
+    [
+        (0.012, "#ABSOLUTE, #IPO_FAST", "error", "3 times as fast as admitted"),
+        (
+            0.012,
+            "#ABSOLUTE",
+            "error",
+            "without a second argument is a cycle of 4 ms, and cycle_s of the cell is 12 ms",
+        ),
+        (0.004, "#absolute , #ipo", "error", "0.333 times as fast"),
+        (0.012, "#ABSOLUTE, mode", "warning", "MODE, which cannot be read"),
+        (0.012, "#ABSOLUTE, #IPO", None, ""),
+        (0.004, "#ABSOLUTE, #ipo_fast", None, ""),
+        (0.004, "#ABSOLUTE", None, ""),
+    ],
+)
+def test_a_program_starts_rsi_with_the_cycle_of_the_cell(
+    cycle_s: float, arguments: str, severity: str | None, message: str
+) -> None:
+    station = replace(CELL, axes=replace(AXES, krc="krc4"), cycle_s=cycle_s)
+    found = judge_program(f"ret = RSI_ON({arguments})", "gr.src", station)
+    assert [finding.severity for finding in found] == [severity] * (severity is not None)
+    assert all(message in finding.message for finding in found)
+    assert not judge_program(
+        f"ret = RSI_ON({arguments})", "gr.src", replace(station, axes=AXES)
+    )  # one cycle only

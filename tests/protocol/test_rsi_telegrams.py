@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from deltaq_deploy.rsi.telegram import look_at
 from deltaq_protocol.errors import ProtocolError
 from deltaq_protocol.rsi import (
     AxisMap,
@@ -203,7 +204,6 @@ def test_a_correction_that_cannot_be_written_is_refused(value: float) -> None:
         (b' A6="-12.2500"', b"", "A6 of AIPos is missing"),
         (b'<Delay D="0"/>', b"", "D of Delay is missing"),
         (b"<IPOC>4208163634", b"<IPOC>x", "IPOC is missing"),
-        (b"4208163634", b"4294967296", "IPOC is 4294967296, allowed is a number of 32 bit"),
         (b"<IPOC>", b"<Extra/><IPOC>", "something in the telegram that ethernet.xml does not list"),
         (b"</Rob>", b"</Rob>" + b" " * 5000, "at most 4096 bytes"),
     ],
@@ -213,6 +213,33 @@ def test_what_is_wrong_with_a_telegram_of_the_controller_is_said(
 ) -> None:
     with pytest.raises(TelegramError, match=re.escape(message)):
         SensorCodec(CANONICAL, ARM_AXES).decode(FROM_KRC.replace(old, new))
+
+
+def test_a_stamp_of_more_than_32_bit_is_read_as_it_is() -> None:
+    for ipoc in (2**32, 123645634563, 10**20 - 1):
+        assert (
+            SensorCodec(CANONICAL, ARM_AXES).decode(FROM_KRC.replace(b"4208163634", b"%d" % ipoc)).ipoc
+            == ipoc
+        )
+
+
+def test_names_that_begin_with_a_digit_are_written_and_read_at_both_ends() -> None:
+    own = element("Out.01", "BOOL", 7) + element("2nd", "BOOL", 8)
+    config = make_config(CANONICAL_SEND + own, ARM_CORRECTION + own)
+    tags = {"one": "Out.01", "two": "2nd"}
+    krc, pc = KrcCodec(config, ARM_AXES, tags, tags), SensorCodec(config, ARM_AXES, tags, tags)
+    for state in ({"one": True, "two": False}, {"one": False, "two": True}):
+        telegram = krc.encode(KrcReport(5, Q_HOME, Q_HOME, (0.0,) * 6, (0.0,) * 6, 0, state))
+        assert b'<Out 01="%d"/><2nd>%d</2nd>' % tuple(state.values()) in telegram
+        assert pc.decode(telegram).inputs == state
+        assert set(look_at(telegram).elements) >= {"Out.01", "2nd"}
+        reply = pc.encode(5, np.full(6, 0.01), state)
+        # not as our own end writes it, so read as a KRC reads any reply
+        loose = reply.replace(b"/>", b" />\n").replace(b"<AK", b"<Note x='1 01=2'/><AK")
+        for form in (reply, loose):
+            read = krc.decode(form)
+            assert read.outputs == state
+            assert read.correction == pytest.approx(0.01)
 
 
 def test_white_space_between_elements_does_not_disturb_the_pc() -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from crash_bench import PEER, PLAN, RECORDS, TELEGRAMS, CrashSide
-from krc_side import CELL, FR, MAX_DV, XML
+from krc_side import CELL, FR, MAX_DV, XML, KrcSide
 
 from deltaq_protocol.brake import brake_cycles, brake_increment
 from deltaq_services.robot_server.crash_brake.core import STOP_CYCLES, CrashBrake, CrashPlan
@@ -55,6 +55,19 @@ def test_where_a_krc_has_a_place_for_a_text_it_is_told_none(krc, tmp_path):
     reply = brake.answer([(krc.own(), PEER)], krc.time_s)
     assert b"<EStr></EStr>" in reply
     assert reply == codec.encode(krc.ipoc, np.array(brake.correction), krc.server.outputs)
+
+
+def test_tags_that_begin_with_a_digit_are_read_and_answered(krc, tmp_path):
+    xml = tmp_path / "digits.xml"
+    own = '<ELEMENT TAG="Out.01" TYPE="BOOL" INDX="9" HOLDON="1" /></ELEMENTS>'
+    xml.write_text(XML.read_text(encoding="utf-8").replace("</ELEMENTS>", own), encoding="utf-8")
+    side = KrcSide(xml=xml).begin().run_up(2)
+    assert b'<Out 01="0"/>' in side.own()
+    plan = crash_plan(CELL, "fr", xml)
+    brake = CrashBrake(plan, RECORDS.newest(bytes(krc.memory)), plan.telegrams())
+    krc.tick()
+    reply = brake.answer([(krc.own().replace(b"<IPOC>", b'<Out 01="0"/><IPOC>'), PEER)], krc.time_s)
+    assert b'<Out 01="0"/><IPOC>' in reply
 
 
 def test_it_rests_for_the_drives_lag_then_sends_the_stop_and_is_over(krc):

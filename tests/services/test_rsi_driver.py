@@ -230,6 +230,17 @@ def test_one_flipped_digit_of_the_programmed_position_moves_nothing(krc):
     assert krc.counters["telegrams_implausible"] == 1
 
 
+@pytest.mark.parametrize("ipoc", [2**32, 123645634563, 10**20 - 1])
+def test_a_stamp_of_more_than_32_bit_is_implausible_and_gets_no_answer(krc, ipoc):
+    own = krc.codec.encode_ipoc_only(krc.ipoc)
+    for datagram in (krc.own(), own):
+        assert krc.hand(datagram.replace(b"%d<" % krc.ipoc, b"%d<" % ipoc)) is None
+    assert krc.counters["telegrams_implausible"] == 2
+    assert krc.driver.implausible == f"IPOC is {ipoc}, and a KRC's has 32 bit: at most 4294967295"
+    assert krc.cycle() is not None
+    assert krc.counters["session_restarted"] == 0
+
+
 def test_without_the_programmed_position_a_session_begins_where_the_robot_is_and_its_mode_is_probed(tmp_path):
     xml = tmp_path / "without.xml"
     xml.write_text(re.sub(r".*DEF_ASPos.*\n", "", XML.read_text()))

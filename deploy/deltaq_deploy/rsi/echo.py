@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from deltaq_protocol.rsi import KrcTelegram, SensorCodec, TelegramError
+from deltaq_protocol.rsi.layout import MAX_IPOC
 
 AWAY = 2e-3
 """Distance from the start that rounding to one decimal, and a drive at rest, leave [rad or m]."""
@@ -48,6 +49,8 @@ class ZeroEcho:
         self._peer = self._peer or peer
         if peer != self._peer:
             return f"{peer} is another sender than {self._peer}, which came first"
+        if telegram.ipoc > MAX_IPOC:
+            return f"IPOC has more than 32 bit, and a KRC's is at most {MAX_IPOC}"
         if telegram.q is None:  # the opening of a KR C2: the robot stands at its start
             return None
         if telegram.q_programmed is None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deltaq_deploy.rsi.telegram import Seen, look_at
+from deltaq_protocol.rsi.layout import MAX_IPOC
 
 KEPT = 100_000
 """Intervals that are kept: more than six minutes at 4 ms."""
@@ -161,6 +162,10 @@ class WireStatistics:
         if jumps:
             problems.append(
                 f"IPOC jumped {jumps} times: telegrams are lost on the way, or RSI was started again"
+            )
+        if self._last is not None and self._last.ipoc > MAX_IPOC:
+            problems.append(
+                f"IPOC is {self._last.ipoc}: a KRC's has 32 bit, and the Robot Server answers no other"
             )
         if self._decimals == 1:
             problems.append(

@@ -9,8 +9,8 @@ MAX_BYTES = 4096
 """More is no telegram."""
 
 _HEAD = re.compile(rb'\s*<Rob\s+(?i:Type)="KUKA"\s*>')
-_IPOC = re.compile(rb"<IPOC>\s*([0-9]{1,10})\s*</IPOC>")
-_ELEMENT = re.compile(rb'<([A-Za-z_][\w-]*)((?:\s+[\w.-]+="[^"<>]*")*)\s*(?:/>|>)')
+_IPOC = re.compile(rb"<IPOC>\s*([0-9]{1,20})\s*</IPOC>")
+_ELEMENT = re.compile(rb'<([A-Za-z0-9_][\w-]*)((?:\s+[\w.-]+="[^"<>]*")*)\s*(?:/>|>)')
 _ATTRIBUTE = re.compile(rb'([\w.-]+)="([^"<>]*)"')
 _DECIMALS = re.compile(rb"[-+]?[0-9]+\.([0-9]+)")
 

@@ -52,9 +52,11 @@ class RsiContext:
         return tuple(thing for thing in self.objects if thing.kind == kind)
 
     def ethernet(self, config_file: str) -> RsiObject | None:
-        """The ETHERNET object that loads this `*_ethernet.xml`."""
+        """The ETHERNET object that loads this `*_ethernet.xml`; its name ignores case, as on a KRC."""
         loaded = (
-            thing for thing in self.of_kind("ETHERNET") if thing.parameters.get("ConfigFile") == config_file
+            thing
+            for thing in self.of_kind("ETHERNET")
+            if thing.parameters.get("ConfigFile", "").lower() == config_file.lower()
         )
         return next(loaded, None)
 

@@ -37,7 +37,8 @@ SEND_INTERNAL: dict[str, tuple[str, ...]] = {
 RECEIVE_INTERNAL: dict[str, tuple[str, ...]] = {"EStr": ()} | _TECH
 """Elements that the controller itself understands; `EStr` is text for the pendant."""
 
-_TAG = re.compile(r"(DEF_)?([A-Za-z_][A-Za-z0-9_-]*)(?:\.([A-Za-z_][A-Za-z0-9_-]*))?")
+_TAG = re.compile(r"(DEF_)?([A-Za-z0-9_][A-Za-z0-9_-]*)(?:\.([A-Za-z0-9_][A-Za-z0-9_-]*))?")
+"""A name may begin with a digit, as in `Out.01`: the telegram is no XML document then, and is sent all the same."""
 
 
 class ElementType(StrEnum):
@@ -132,6 +133,11 @@ def parse_ethernet_xml(text: str, source: str = "ethernet.xml") -> EthernetConfi
     port = _config(root, source, "PORT", r"[0-9]{1,5}", "1 to 65535")
     if not 1 <= int(port) <= 65535:
         raise EthernetConfigError(f"{source}: CONFIG/PORT is {port}, allowed is 1 to 65535")
+    if (root.findtext("CONFIG/PROTOCOL") or "UDP").strip().upper() != "UDP":
+        raise EthernetConfigError(
+            f"{source}: CONFIG/PROTOCOL is {root.findtext('CONFIG/PROTOCOL')!r}, allowed is UDP: over another protocol "
+            "no telegram of the KRC reaches the Robot Server"
+        )
     only_send = _config(root, source, "ONLYSEND", r"(?i:TRUE|FALSE)", "TRUE or FALSE")
     return EthernetConfig(
         source=source,
@@ -179,8 +185,8 @@ def _element(node: ET.Element, where: str, direction: str, internal: dict[str, t
     tag = node.get("TAG", "")
     if (match := _TAG.fullmatch(tag)) is None or match[2] == "IPOC":
         raise EthernetConfigError(
-            f"{where}: TAG is {tag!r}, allowed is NAME, NAME.ATTRIBUTE or DEF_NAME, where a name starts "
-            "with a letter; IPOC is always there and never listed"
+            f"{where}: TAG is {tag!r}, allowed is NAME, NAME.ATTRIBUTE or DEF_NAME, where a name has "
+            "letters, digits, _ and -; IPOC is always there and never listed"
         )
     if (kind := node.get("TYPE", "")) not in ElementType.__members__:
         raise EthernetConfigError(f"{where}: TYPE is {kind!r}, allowed is {', '.join(ElementType)}")

@@ -55,6 +55,7 @@ class Station:
         inputs: per digital input its TAG.
         outputs: per digital output its TAG.
         stop: TAG of the BOOL that ends the motion; None if the cell names none.
+        cycle_s: the cell's cycle [s]; None if nothing is to be compared with it.
     """
 
     axes: AxisMap
@@ -63,6 +64,7 @@ class Station:
     inputs: Mapping[str, str] = field(default_factory=dict)
     outputs: Mapping[str, str] = field(default_factory=dict)
     stop: str | None = None
+    cycle_s: float | None = None
 
     @property
     def emulated(self) -> bool:

@@ -1,7 +1,7 @@
 """Whether a KRC's context and KRL program treat corrections as the Robot Server assumes.
 
 The `*_ethernet.xml` says what is on the wire; the context says which axis a correction moves, and the program whether
-it is an offset from the start (absolute) or an increment in every cycle (relative).
+it is an offset from the start (absolute) or an increment in every cycle (relative), and how long a cycle is.
 """
 
 from __future__ import annotations
@@ -22,6 +22,9 @@ RELATIVE_LATE = (
     "corrections are relative: a lost reply would repeat or lose an increment, and the offsets that the Robot Server "
     "sends would run away"
 )
+
+_CYCLES_MS = {"#IPO_FAST": 4, "#IPO": 12, "": 4}
+"""Cycle by the second argument of RSI_ON; without one it is 4 ms on RSI 3 and later."""
 
 
 def judge_context(context: RsiContext, config: EthernetConfig, station: Station) -> tuple[Finding, ...]:
@@ -98,15 +101,20 @@ def _links(
             )
 
 
-def judge_program(text: str, source: str) -> tuple[Finding, ...]:
-    """Check how a KRL program starts RSI; `source` is its name in messages.
+def judge_program(text: str, source: str, station: Station) -> tuple[Finding, ...]:
+    """Check how a KRL program starts RSI.
+
+    Args:
+        text: the program.
+        source: its name in messages.
+        station: the cell's description.
 
     Returns:
-        An error where corrections are relative, a warning where the program does not say; empty for a program that
-        does not start RSI.
+        An error where corrections are relative or the cycle is not the cell's, a warning where the program does not
+        say; empty for a program that does not start RSI.
     """
     code = re.sub(r";[^\n]*", "", text)
-    return tuple(_rsi_on(code, source)) + tuple(_axis_correction(code, source))
+    return (*_rsi_on(code, source), *_cycle(code, source, station), *_axis_correction(code, source))
 
 
 def _rsi_on(code: str, source: str) -> Iterator[Finding]:
@@ -128,6 +136,36 @@ def _rsi_on(code: str, source: str) -> Iterator[Finding]:
                 "does not say whether corrections are absolute; write RSI_ON(#ABSOLUTE, …)",
                 call[0],
                 "#ABSOLUTE",
+                source=source,
+            )
+
+
+def _cycle(code: str, source: str, station: Station) -> Iterator[Finding]:
+    if station.cycle_s is None or station.axes.krc == "krc2":
+        return  # a KR C2 has one cycle, and the cell is checked for it
+    cell_ms = round(station.cycle_s * 1000)
+    for call in re.finditer(r"(?i)\bRSI_ON\s*\(([^)]*)\)", code):
+        option = call[1].upper().partition(",")[2].strip()
+        cycle_ms = _CYCLES_MS.get(option)
+        if cycle_ms is None:
+            yield Finding(
+                "warning",
+                "RSI_ON",
+                f"its cycle is {option}, which cannot be read here; write #IPO_FAST (4 ms) or #IPO (12 ms)",
+                call[0],
+                cell_ms,
+                source=source,
+            )
+        elif cycle_ms != cell_ms:
+            said = option or "without a second argument"
+            yield Finding(
+                "error",
+                "RSI_ON",
+                f"{said} is a cycle of {cycle_ms} ms, and cycle_s of the cell is {cell_ms} ms: every increment would "
+                f"take {cycle_ms} ms, and the robot would move {cell_ms / cycle_ms:.3g} times as fast as admitted; "
+                "write #IPO_FAST (4 ms) or #IPO (12 ms) as the cell says, or change cycle_s",
+                call[0],
+                cell_ms,
                 source=source,
             )
 

@@ -31,6 +31,8 @@ MAX_PRECISION = 9
 
 # as C's strtod reads it: a zero before the point may be missing
 _NUMBER = re.compile(rf"{NUMBER}|[-+]?\.[0-9]{{1,16}}(?:[eE][-+]?[0-9]{{1,2}})?")
+_MARKUP = re.compile(rb"""<[^<>"']*(?:"[^"]*"[^<>"']*|'[^']*'[^<>"']*)*>""")
+_NAME_OR_VALUE = re.compile(rb""""[^"]*"|'[^']*'|(?<![\w.-])[0-9][\w-]*""")
 _PLAIN_TEXT = r"[ !#-%\'-;=?-~]*"
 """Printable ASCII without what means something in XML."""
 _STOP = "driver.stop"
@@ -271,7 +273,7 @@ class KrcCodec:
         if not datagram.isascii() or b"<!" in datagram or b"<?" in datagram:
             raise TelegramError(f"only plain ASCII elements are allowed, got {datagram[:80]!r}")
         try:
-            root = ET.fromstring(datagram)
+            root = ET.fromstring(_MARKUP.sub(_with_xml_names, datagram))
         except (ET.ParseError, ValueError) as error:
             raise TelegramError(f"no XML document: {error}; got {datagram[:80]!r}") from error
         if root.tag != "Sen" or "Type" not in root.attrib:
@@ -280,9 +282,9 @@ class KrcCodec:
 
     @staticmethod
     def _text(elements: Mapping[str, ET.Element], field: Field) -> str | None:
-        if (element := elements.get(field.group)) is None:
+        if (element := elements.get(_xml_name(field.group))) is None:
             return None
-        return element.text or "" if field.attribute is None else element.get(field.attribute)
+        return element.text or "" if field.attribute is None else element.get(_xml_name(field.attribute))
 
     @staticmethod
     def _number(field: Field, text: str) -> float:
@@ -290,6 +292,15 @@ class KrcCodec:
         if _NUMBER.fullmatch(text) is None:
             raise TelegramError(f"{field.element.tag} is {text[:40]!r}, allowed is a decimal number")
         return float(text)
+
+
+def _xml_name(name: str) -> str:
+    """A name of a telegram as an XML document may have it, where none begins with a digit."""
+    return f"_.{name}" if name[0].isdigit() else name
+
+
+def _with_xml_names(markup: re.Match[bytes]) -> bytes:
+    return _NAME_OR_VALUE.sub(lambda name: name[0] if name[0][:1] in b"\"'" else b"_." + name[0], markup[0])
 
 
 def _ipoc_error(text: str) -> TelegramError:

@@ -20,7 +20,6 @@ from deltaq_protocol.rsi.errors import EthernetConfigError, TelegramError
 from deltaq_protocol.rsi.ethernet_xml import ElementType, EthernetConfig
 from deltaq_protocol.rsi.layout import (
     DECIMALS,
-    MAX_IPOC,
     NUMBER,
     Field,
     correction_fields,
@@ -43,7 +42,7 @@ class KrcTelegram(NamedTuple):
     """The contents of a controller's telegram.
 
     Attributes:
-        ipoc: time stamp, to be echoed exactly.
+        ipoc: time stamp, to be echoed exactly; that of a KRC has 32 bit, and what is read may have more.
         q: (n,) measured joints [rad or m]; None in the first telegram of a KR C2, which has nothing but
             its IPOC.
         delay: late packets so far, as the controller counts them; None if it does not send them.
@@ -153,7 +152,7 @@ class SensorCodec:
 
     @staticmethod
     def _compile(pattern: str) -> re.Pattern[bytes]:
-        pattern = pattern.replace("%IPOC%", "([0-9]{1,10})")
+        pattern = pattern.replace("%IPOC%", "([0-9]{1,20})")
         return re.compile(rb"\s*" + pattern.encode() + rb"\s*")
 
     def _compile_encoder(self, outputs: Mapping[str, str], stop: str | None) -> None:
@@ -213,18 +212,12 @@ class SensorCodec:
             )
         delay = None if self._delay_place is None else int(float(values[self._delay_place]))
         inputs = {name: float(values[place]) != 0.0 for name, place in self._input_places.items()}
-        return KrcTelegram(self._ipoc(values[-1]), q, delay, rist, inputs, programmed)
+        return KrcTelegram(int(values[-1]), q, delay, rist, inputs, programmed)
 
     def _decode_ipoc_only(self, datagram: bytes) -> KrcTelegram:
         if len(datagram) <= MAX_TELEGRAM_BYTES and (match := self._ipoc_only.fullmatch(datagram)):
-            return KrcTelegram(self._ipoc(match[1]), None, None, None, {}, None)
+            return KrcTelegram(int(match[1]), None, None, None, {}, None)
         raise TelegramError(f"{self._explain(datagram)}; got {len(datagram)} bytes: {datagram[:120]!r}")
-
-    @staticmethod
-    def _ipoc(digits: bytes) -> int:
-        if (ipoc := int(digits)) > MAX_IPOC:
-            raise TelegramError(f"IPOC is {ipoc}, allowed is a number of 32 bit, at most {MAX_IPOC}")
-        return ipoc
 
     def _explain(self, datagram: bytes) -> str:
         if len(datagram) > MAX_TELEGRAM_BYTES:
@@ -240,8 +233,8 @@ class SensorCodec:
             if not re.search(pattern.encode(), datagram):
                 name = field.group if field.attribute is None else f"{field.attribute} of {field.group}"
                 return f"{name} is missing or no number, though {self._config.source} lists it in SEND"
-        if not re.search(rb"<IPOC>[0-9]{1,10}</IPOC>\s*</", datagram):
-            return "IPOC is missing, not last or no number of 32 bit"
+        if not re.search(rb"<IPOC>[0-9]{1,20}</IPOC>\s*</", datagram):
+            return "IPOC is missing, not last or no number"
         return (
             f"there is something in the telegram that {self._config.source} does not list in SEND, or its "
             "order is not the order of that file; load the same file on both sides"

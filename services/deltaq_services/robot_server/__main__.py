@@ -26,18 +26,18 @@ def main() -> None:
         raise DeltaqError(f"cell {cell.cell} has no robot {options.robot!r}; it has {', '.join(cell.robots)}")
     robot = cell.robots[options.robot]
     file = find_cell(options.cell)
-    refuse_unsafe(file, robot)
+    refuse_unsafe(file, robot, cell.cycle_s)
     xml = resolve_near(file, robot.driver.ethernet_xml) if isinstance(robot.driver, RsiDescription) else None
     serve(cell, options.robot, xml)
 
 
-def refuse_unsafe(cell_file: Path, robot: RobotDescription) -> None:
+def refuse_unsafe(cell_file: Path, robot: RobotDescription, cycle_s: float) -> None:
     """Report the faults of the files of a robot's KRC.
 
     Raises:
         EthernetConfigError: they cannot be safe.
     """
-    findings = judge_krc_files(cell_file, robot)
+    findings = judge_krc_files(cell_file, robot, cycle_s)
     for finding in findings:
         if finding.severity == "warning":
             _log.warning("%s", finding)

@@ -19,6 +19,7 @@ from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.rsi import KrcTelegram, SensorCodec
 from deltaq_protocol.rsi.axes import DEG_PER_RAD, MM_PER_M
+from deltaq_protocol.rsi.layout import MAX_IPOC
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.plausibility import Plausibility
 from deltaq_services.robot_server.pulses_cut_short import SESSIONS
@@ -108,6 +109,10 @@ class RsiDriver:
         """
         self.unmoved, self.implausible = None, ""
         telegram = self._codec.decode(datagram)
+        if telegram.ipoc > MAX_IPOC:
+            self._counters["telegrams_implausible"] += 1
+            self.implausible = f"IPOC is {telegram.ipoc}, and a KRC's has 32 bit: at most {MAX_IPOC}"
+            return None
         if telegram.q is None:
             self._opens(telegram)
             return None
