@@ -22,7 +22,7 @@ from numba.extending import register_jitable
 
 from deltaq_cell.machine_code import folder, package_of
 
-__all__ = ["compiled", "inlined", "makes_no_array", "told_of_compiling", "waits"]
+__all__ = ["compiled", "inlined", "makes_no_array", "told_of_compiling"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -58,15 +58,7 @@ def makes_no_array(function: Function) -> Function:
     return _to_machine_code(function, counts_users=False)
 
 
-def waits(function: Function) -> Function:
-    """Decorate a function that makes no array and calls into C, where it may wait: other threads run meanwhile.
-
-    What it calls has no Python: with `NUMBA_DISABLE_JIT=1` it cannot run.
-    """
-    return _to_machine_code(function, counts_users=False, keeps_lock=False)
-
-
-def _to_machine_code(function: Function, counts_users: bool = True, keeps_lock: bool = True) -> Function:
+def _to_machine_code(function: Function, counts_users: bool = True) -> Function:
     users_own = numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES
     kept = _folder(function.__module__)
     # numba asks for its folder while it decorates, and others may want theirs elsewhere
@@ -74,7 +66,7 @@ def _to_machine_code(function: Function, counts_users: bool = True, keeps_lock: 
     numba.config.CACHE_LOCATOR_CLASSES = f"{__name__}.{_PlaceInPackage.__name__}" if kept else users_own[1]
     try:
         # numba's option has no public name; what makes an array all the same is refused when it is compiled
-        decorate = numba.njit(cache=bool(kept), error_model="numpy", _nrt=counts_users, nogil=not keeps_lock)
+        decorate = numba.njit(cache=bool(kept), error_model="numpy", _nrt=counts_users)
         return cast(Function, decorate(function))
     finally:
         numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES = users_own

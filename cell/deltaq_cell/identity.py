@@ -26,7 +26,7 @@ _PLACES = {
     "anyone_who_connects_may_move_the_robots",
 }
 _PLACES_OF_ROBOT = {"server", "model"}
-_PLACES_OF_DRIVER = {"address", "port", "control_port", "krc_address", "ethernet_xml", "prepared_replies"}
+_PLACES_OF_DRIVER = {"address", "port", "control_port", "krc_address", "ethernet_xml"}
 
 
 def content_identity(cell: CellDescription) -> CellIdentity:

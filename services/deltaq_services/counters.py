@@ -215,16 +215,6 @@ COUNTERS: tuple[Counted, ...] = (
         "motion_stops",
         "times that the KRC was ordered to end a motion that went on although its setpoint rested",
     ),
-    Counted(
-        ROBOT_SERVER,
-        "prepared_replies",
-        "prepared replies that were sent, and agree with what was decided afterwards",
-    ),
-    Counted(
-        ROBOT_SERVER,
-        "prepared_replies_wrong",
-        "prepared replies that differ from what was decided afterwards; the robot is held where it was sent",
-    ),
     Counted(ROBOT_SERVER, "replies_refused", "replies that the last check refused"),
     Counted(ROBOT_SERVER, "replies_unsent", "replies that the socket could not send"),
     Counted(ROBOT_SERVER, "socket_errors", "errors while reading the socket"),

@@ -44,7 +44,6 @@ def test_whatever_is_meant_otherwise_changes_the_hash(tmp_path: Path, changes: s
         "# a comment",
         "hli: tcp/127.0.0.1:9999\nsim: tcp/127.0.0.1:9998\ntcp_port: 9997",
         "robots: {fr: {server: tcp/127.0.0.1:9996, driver: {port: 9995, control_port: 9994}}}",
-        "robots: {fr: {driver: {prepared_replies: true}}}",
         f"cycle_s: {load_cell('lab').cycle_s!r}0",
     ],
 )

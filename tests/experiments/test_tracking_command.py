@@ -78,7 +78,6 @@ def test_bench_tells_ratios_against_references_of_the_same_run():
     whats = [row["what"].split(",")[0] for row in table["rows"]]
     assert whats == [
         "an RSI reply",
-        "a prepared RSI reply",
         "an RSI telegram read and its reply written",
         "the 7 messages of a cycle packed and unpacked",
         "the 5 guarded messages of a cycle sealed and opened",
@@ -91,7 +90,6 @@ def test_bench_tells_ratios_against_references_of_the_same_run():
     assert "1495 pairs" in table["rows"][-1]["reference"]
     bounded = {row["what"].split(",")[0] for row in table["rows"] if row["kept"] is not None}
     assert bounded == {
-        "a prepared RSI reply",
         "the 5 guarded messages of a cycle sealed and opened under identities",
         "one gate decision",
         "one gate decision near obstacles",

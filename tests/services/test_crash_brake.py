@@ -259,13 +259,13 @@ def test_no_count_of_late_replies_is_too_long_for_a_record(krc, digits):
 
 def test_of_a_brake_that_is_too_long_for_a_record_there_is_none(krc):
     motion = replace(krc.server.motion, brake_cycles=2**32)
-    left = krc.maker.record(krc.own(), krc.ipoc, krc.driver.correction, {}, motion)
+    left = krc.maker.of_last(krc.own(), krc.ipoc, {}, motion)
     assert left is not None
     assert krc.maker.body(left) is None
 
 
 def test_a_telegram_in_another_layout_leaves_no_record(krc):
-    assert krc.maker.record(b"<Rob/>", krc.ipoc, krc.driver.correction, {}, krc.server.motion) is None
+    assert krc.maker.of_last(b"<Rob/>", krc.ipoc, {}, krc.server.motion) is None
     assert krc.maker.body(None) is None
 
 

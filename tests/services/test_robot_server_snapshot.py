@@ -119,7 +119,7 @@ def test_a_snapshot_leaves_out_nothing_but_what_is_fixed_and_what_is_counted():
 
 def test_a_driver_and_its_peer_leave_out_nothing_either():
     krc = KrcSide()
-    of_one_call = {"unmoved", "implausible", "fault", "detail", "_bounds"}
+    of_one_call = {"unmoved", "implausible", "fault", "detail"}
     fixed = {"_codec", "_counters", "_plausible", "_near", "_most", "_widest", "_zero"}
     remembered = {"session", "_origin", "_lower", "_upper", "_sent", "_earlier", "_opened", "_outputs"}
     assert set(vars(krc.driver)) == remembered | fixed | of_one_call

@@ -15,12 +15,6 @@ TELEGRAMS = PLAN.telegrams()
 RECORDS = CrashRecords(len(PLAN.most), PLAN.outputs)
 
 
-def sealed(layout, body, number, peer, time_s):
-    """Where a record belongs, and its bytes."""
-    begun = layout.begun(body, number, peer)
-    return begun.place, begun.sealed(time_s)
-
-
 class CrashSide(KrcSide):
     """A KRC before a Robot Server that leaves a record of each reply, as its shell does.
 
@@ -51,7 +45,7 @@ class CrashSide(KrcSide):
     def leave(self, datagram, is_sent=True):
         """Leave the record of the reply to a telegram, and say that it was sent."""
         self.number += 1
-        place, record = sealed(RECORDS, self.record(datagram), self.number, PEER, self.time_s)
+        place, record = RECORDS.sealed(self.record(datagram), self.number, PEER, self.time_s)
         self.memory[place : place + len(record)] = record
         if is_sent:
             SENT.pack_into(self.memory, RECORDS.sent_at, self.number)

@@ -29,15 +29,6 @@ def codec_of(xml):
     return KrcCodec(load_ethernet_xml(xml), AXES, FR.driver.inputs, outputs, 4)
 
 
-def preparing(cell=CELL):
-    """The cell, its robot's replies prepared."""
-    robot = cell.robots["fr"]
-    driver = robot.driver.model_copy(update={"prepared_replies": True})
-    return cell.model_copy(
-        update={"robots": {**cell.robots, "fr": robot.model_copy(update={"driver": driver})}}
-    )
-
-
 KRC = codec_of(XML)
 EPOCH = 7
 MAX_DV = FR.max_acceleration * CELL.cycle_s**2

@@ -41,9 +41,6 @@ class RsiDescription(DescriptionModel):
     """Largest correction sent to a rotating axis; none: as far as the joint limits, and a margin, allow."""
     max_correction_mm: Positive | None = None
     """The same for a linear axis."""
-    prepared_replies: bool = False
-    """Get each reply ready before its telegram: it goes out seven times sooner, for .7 ms of processor a cycle. For
-    machines with a core to spare; a KRC waits for a reply as long as a cycle."""
     control_port: Annotated[int, Field(ge=1, le=65535)] | None = None
     """The emulator's operator panel listens here; a real KRC has none. Best a port that the system gives to no socket
     that asks for none: on Linux one below 32768."""

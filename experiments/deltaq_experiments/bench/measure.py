@@ -28,7 +28,6 @@ def run(
     loaded = LoadedCell.load(CELL)
     return BenchTable(
         rows=(
-            rsi_reply(prepared=False),
             rsi_reply(),
             telegrams(loaded, ROBOT, CODEC_PASSES),
             messages(loaded, ROBOT, CODEC_PASSES),

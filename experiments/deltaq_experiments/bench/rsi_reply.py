@@ -46,13 +46,12 @@ class RsiReplyError(DeltaqError):
     """The Robot Server could not be measured."""
 
 
-def rsi_reply(cycles: int = CYCLES, compiler: str | None = None, prepared: bool = True) -> BenchRow:
+def rsi_reply(cycles: int = CYCLES, compiler: str | None = None) -> BenchRow:
     """Time from a telegram to its reply.
 
     Args:
         cycles: telegrams that are timed.
         compiler: of the reference, see `native.program`.
-        prepared: replies are ready before their telegrams.
 
     Raises:
         LaunchError: if the Robot Server does not come up.
@@ -61,7 +60,7 @@ def rsi_reply(cycles: int = CYCLES, compiler: str | None = None, prepared: bool 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         made = program("asker", folder, compiler)
-        loaded = LoadedCell.load(_private(folder, prepared))
+        loaded = LoadedCell.load(_private(folder))
         cell, cycle_s = loaded.model.description, loaded.model.description.cycle_s
         driver = cell.robots[ROBOT].driver
         assert driver.kind == "rsi"  # the shipped cell's
@@ -89,16 +88,12 @@ def rsi_reply(cycles: int = CYCLES, compiler: str | None = None, prepared: bool 
     server, echo = (column[column >= 0.0].tolist() for column in took.T)
     if len(server) < cycles / 2 or len(echo) < cycles / 2:
         raise RsiReplyError(f"of {cycles} telegrams {len(server)} were answered, {len(echo)} by the echo")
-    what = "a prepared RSI reply" if prepared else "an RSI reply"
-    bounds = {"at_most": 2.0, "p99_at_most": 2.5} if prepared else {}
-    why = "" if prepared else "a KRC waits as long as a cycle; who needs it sooner has replies prepared"
     return BenchRow.of(
-        f"{what}, {len(cell.robots[ROBOT].joints)} axes at {cycle_s * 1e3:g} ms, one core",
+        f"an RSI reply, {len(cell.robots[ROBOT].joints)} axes at {cycle_s * 1e3:g} ms, one core",
         f"an echo of the same bytes in {made.language}",
         server,
         echo,
-        no_bound_because=why,
-        **bounds,
+        no_bound_because="a KRC waits as long as a cycle",
     )
 
 
@@ -165,7 +160,7 @@ def _gate(cell: CellDescription) -> Iterator[None]:
         session.close()
 
 
-def _private(folder: Path, prepared: bool) -> Path:
+def _private(folder: Path) -> Path:
     """The cell on ports of its own, so that one that is up is not disturbed."""
     with socket(AF_INET, SOCK_STREAM) as tcp, socket(AF_INET, SOCK_DGRAM) as udp:
         tcp.bind(("127.0.0.1", 0))
@@ -174,8 +169,7 @@ def _private(folder: Path, prepared: bool) -> Path:
     file = folder / "private.yaml"
     file.write_text(
         f"extends: {CELL}\n"
-        f"robots: {{{ROBOT}: {{server: tcp/127.0.0.1:{server}, driver: {{port: {port}, "
-        f"prepared_replies: {str(prepared).lower()}}}}}}}\n",
+        f"robots: {{{ROBOT}: {{server: tcp/127.0.0.1:{server}, driver: {{port: {port}}}}}}}\n",
         encoding="utf-8",
     )
     return file

@@ -6,8 +6,6 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-import zenoh
-
 from deltaq_cell.description import CellDescription
 from deltaq_cell.identity import content_identity
 from deltaq_protocol import topics
@@ -24,7 +22,6 @@ from deltaq_services.greeter import Greeter
 from deltaq_services.guarded_key import guarded_seal
 from deltaq_services.guarded_session import open_guarded_session
 from deltaq_services.pace import Pace
-from deltaq_services.robot_server.arrivals import Arrivals
 from deltaq_services.robot_server.cycle_stamps import CycleStamps
 
 M = TypeVar("M", bound=Message)
@@ -60,11 +57,9 @@ class GuardedLink:
         )
         admission_key = topics.ADMISSION.key(cell.cell, robot=robot)
         supervision_key = topics.SUPERVISION.key(cell.cell, robot=robot)
-        self._from_gate = admission_key, supervision_key
         self._admissions = subscribe_newest(self._session, admission_key, _WAITING)
         self._supervisions = subscribe_newest(self._session, supervision_key, _WAITING)
         self._greetings = subscribe_newest(self._session, topics.GREETING.key(cell.cell), _WAITING)
-        self._telling: list[Any] = []
         self._state = self._publisher(topics.SERVER_STATE, cell.cell, robot=robot)
         self._health = self._publisher(topics.HEALTH, cell.cell, service=self._service)
         greeting = self._publisher(topics.GREETING, cell.cell, service=self._service)
@@ -85,13 +80,6 @@ class GuardedLink:
         """The newest heartbeat of the gate since the last call, if any."""
         received = self._received(self._supervisions, Supervision)
         return received[-1] if received else None
-
-    def tell_arrivals(self) -> Arrivals:
-        """Tells from now on what comes for `admissions` and `supervision`; costs a call of Python a message."""
-        arrivals = Arrivals()
-        came: Any = zenoh.handlers.Callback(lambda _: arrivals.one(), indirect=False)
-        self._telling = [self._session.declare_subscriber(key, came) for key in self._from_gate]
-        return arrivals
 
     def publish(self, state: ServerState | None, time_s: float, detail: Callable[[], str] = str) -> None:
         """Publish the state, and at the pace of the table of topics a heartbeat, for which alone `detail` is asked."""

@@ -1,22 +1,15 @@
-"""What follows from the file that a KRC has loaded: telegrams, replies that are prepared, the brake after a crash."""
+"""What follows from the file that a KRC has loaded: telegrams, and the brake after a crash."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_protocol.rsi import AxisMap, SensorCodec, load_ethernet_xml
 from deltaq_protocol.rsi.sensor_codec import MAX_TELEGRAM_BYTES
-from deltaq_protocol.rsi.usual_telegram import UsualTelegrams
-from deltaq_services.robot_server.core import RobotServer
+from deltaq_protocol.rsi.usual_telegram import usual_telegram
 from deltaq_services.robot_server.crash_brake.core import CrashPlan
-from deltaq_services.robot_server.crash_brake.record_maker import CrashRecordMaker
-from deltaq_services.robot_server.rsi_driver import RsiDriver
-
-if TYPE_CHECKING:  # loads numba, which takes long, and which only those need who prepare replies
-    from deltaq_services.robot_server.preparation import Preparation
 
 
 def sensor_codec(cell: CellDescription, robot: str, ethernet_xml: Path) -> SensorCodec:
@@ -32,36 +25,17 @@ def sensor_codec(cell: CellDescription, robot: str, ethernet_xml: Path) -> Senso
     )
 
 
-def preparation(
-    cell: CellDescription,
-    server: RobotServer,
-    rsi: RsiDriver,
-    ethernet_xml: Path,
-    records: CrashRecordMaker | None = None,
-) -> Preparation | None:
-    """What prepares a robot's replies, from the file that its KRC has loaded; None if its cell does not want it."""
-    description = cell.robots[server.robot]
-    assert isinstance(description.driver, RsiDescription)  # asked only of robots that speak RSI
-    if not description.driver.prepared_replies:
-        return None
-    from deltaq_services.robot_server.preparation import Preparation
-
-    axes = AxisMap.of(description.joint_names, description.units, description.driver.krc)
-    telegrams = UsualTelegrams(load_ethernet_xml(ethernet_xml), axes)
-    return Preparation(cell, server, rsi, telegrams, axes, records)
-
-
 def crash_plan(cell: CellDescription, robot: str, ethernet_xml: Path) -> CrashPlan:
     """What has to be known to brake a robot whose Robot Server has died, from the file that its KRC has loaded."""
     description = cell.robots[robot]
     driver = description.driver
     assert isinstance(driver, RsiDescription)  # asked only of robots that speak RSI
     codec = sensor_codec(cell, robot, ethernet_xml)
-    telegrams = UsualTelegrams(load_ethernet_xml(ethernet_xml), codec.axes)
+    pattern, programmed = usual_telegram(load_ethernet_xml(ethernet_xml))
     template, places = codec.template
     return CrashPlan(
-        pattern=telegrams.pattern,
-        elements=telegrams.programmed,
+        pattern=pattern,
+        elements=programmed,
         most_bytes=MAX_TELEGRAM_BYTES,
         template=template.decode(),
         places=places,

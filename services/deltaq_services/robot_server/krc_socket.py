@@ -9,33 +9,23 @@ import socket
 import time
 from collections import Counter, deque
 from collections.abc import Iterator
-from itertools import chain
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 from deltaq_cell.description import RsiDescription
 from deltaq_protocol.endpoint import Address
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_protocol.rsi import TelegramError
 from deltaq_protocol.rsi.sensor_codec import MAX_TELEGRAM_BYTES
-from deltaq_services.robot_server.arrivals import Arrivals
 from deltaq_services.robot_server.crash_brake.watch import CrashWatch
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.peer import DatagramSource, Peer
-from deltaq_services.robot_server.prepared_reply import PreparedReply, TelegramOutcome
-from deltaq_services.robot_server.reply_guard import NO_BOUNDS
 from deltaq_services.robot_server.rsi_driver import RsiDriver
-
-if TYPE_CHECKING:  # loads numba, which takes long, and which only those need who prepare replies
-    from deltaq_services.robot_server.telegram_answer import TelegramAnswer
 
 _log = logging.getLogger(__name__)
 
 _DATAGRAM_BYTES = MAX_TELEGRAM_BYTES + 1
 """Read of a datagram: enough to see that it is too long."""
-
-_WARM_S = 0.0003
-"""Before a telegram is due, its answer is rehearsed: longer than that takes, and short for what is in caches."""
 
 _LOOK_S = 0.02
 """Between two tries to have an address that is taken."""
@@ -80,10 +70,8 @@ class KrcSocket:
         self._counters = counters
         self.newest, self.came_s = b"", 0.0
         self.watch: CrashWatch | None = None
-        self._telegram_answer: TelegramAnswer | None = None
         self._sock = _bound(driver, patience_s)
         self._sender: Address | None = None
-        self._taken: tuple[bytes, Address] | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -98,16 +86,6 @@ class KrcSocket:
         """The socket itself, for the process that answers the KRC after this one."""
         return self._sock
 
-    def prepare_to_answer(self, arrivals: Arrivals) -> None:
-        """Get ready for `answer`; loads, or makes, machine code.
-
-        Args:
-            arrivals: of the gate's messages, each of which makes a prepared reply void.
-        """
-        from deltaq_services.robot_server.telegram_answer import TelegramAnswer
-
-        self._telegram_answer = TelegramAnswer(self._sock, _DATAGRAM_BYTES, arrivals)
-
     def wait(self, seconds: float) -> bool:
         """Wait so long for a datagram; whether there is one."""
         return bool(select.select([self._sock], [], [], max(0.0, seconds))[0])
@@ -120,51 +98,17 @@ class KrcSocket:
         watch = "" if self.watch is None else self.watch.detail
         return "; ".join(filter(None, (watch, self._rsi.detail, self.peer.stranger, ipoc)))
 
-    def answer(self, prepared: PreparedReply, due_in_s: float, seconds: float) -> TelegramOutcome:
-        """Wait for a datagram, and answer it if it is the telegram that a reply was prepared for.
-
-        It has to be alone, and of the KRC that is believed, and nothing may have come from the gate since. What is
-        taken from the socket is left to `read`, whether it was answered or not. `prepare_to_answer` comes first.
-
-        Args:
-            prepared: the reply.
-            due_in_s: when the telegram is expected.
-            seconds: to wait.
-        """
-        telegrams, peer, bounds = self._telegram_answer, self.peer.address, self._rsi.bounds
-        assert telegrams is not None  # there is one where replies are prepared
-        assert peer is not None  # and a KRC that was answered before
-        record = None
-        if self.watch is not None:
-            assert prepared.record is not None  # where records are left no reply is prepared without one
-            record = self.watch.open(prepared.record, peer)
-        outcome = telegrams.next(
-            prepared, bounds or NO_BOUNDS, record, peer, due_in_s - _WARM_S, max(seconds, 0.0)
-        )
-        self.came_s = telegrams.came_s
-        if outcome.is_answer:
-            self._sender = peer
-            self._counters["replies_unsent"] += outcome is TelegramOutcome.UNSENT
-            if self.watch is not None:
-                self.watch.written()
-        if outcome.is_answer or outcome is TelegramOutcome.OTHER:
-            self._taken = telegrams.taken()
-        elif outcome is TelegramOutcome.ERROR:
-            self._counters["socket_errors"] += 1
-        return outcome
-
-    def read(self, now_s: float, alone: bool = False) -> Measurement | None:
+    def read(self, now_s: float) -> Measurement | None:
         """Read the newest telegram among all that waits.
 
         Args:
             now_s: on a monotonic clock.
-            alone: it was answered already; what has come since waits.
 
         Returns:
             What it measures; None if there is none to be answered with a setpoint, see `RsiDriver.read`.
         """
         self._rsi.unmoved, self.newest, self.came_s = None, b"", now_s
-        waiting = self._drain(now_s, alone)
+        waiting = self._drain(now_s)
         while waiting:
             datagram, sender = waiting.pop()
             try:
@@ -200,10 +144,10 @@ class KrcSocket:
         except OSError:  # no route, no buffer, nobody there: to the KRC it is a lost reply
             self._counters["replies_unsent"] += 1
 
-    def _drain(self, now_s: float, alone: bool) -> deque[tuple[bytes, Address]]:
+    def _drain(self, now_s: float) -> deque[tuple[bytes, Address]]:
         """The newest datagrams of the KRC, oldest first; older ones are past their time, others are not its own."""
         waiting: deque[tuple[bytes, Address]] = deque(maxlen=MOST_READ)
-        for datagram, sender in self._received() if alone else chain(self._received(), self._arrived()):
+        for datagram, sender in self._arrived():
             who = self.peer.judge(sender, now_s)
             if who is not DatagramSource.KRC:
                 self._counters[who] += 1
@@ -211,12 +155,6 @@ class KrcSocket:
             self._skipped(len(waiting) // MOST_READ)
             waiting.append((datagram, sender))
         return waiting
-
-    def _received(self) -> Iterator[tuple[bytes, Address]]:
-        """What `answer` took from the socket, once."""
-        taken, self._taken = self._taken, None
-        if taken is not None:
-            yield taken
 
     def _arrived(self) -> Iterator[tuple[bytes, Address]]:
         """What waits in the socket."""

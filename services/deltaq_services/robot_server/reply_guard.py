@@ -59,30 +59,3 @@ def reply_fault(
         if value > max(upper[joint], last[joint]) + _ROUNDING:
             return ReplyFault(joint, "is above its limit", value, upper[joint])
     return None
-
-
-@dataclass(frozen=True, slots=True)
-class ReplyBounds:
-    """The same check of a correction whose bounds were worked out before it is sent; see `last_steps`.
-
-    Attributes:
-        lower, upper: (n,) between which it may be sent [rad or m].
-    """
-
-    lower: tuple[float, ...]
-    upper: tuple[float, ...]
-
-    @classmethod
-    def of(
-        cls, last: Sequence[float], most: Sequence[float], lower: Sequence[float], upper: Sequence[float]
-    ) -> ReplyBounds:
-        """The bounds behind a correction; arguments as of `reply_fault`."""
-        joints = [*zip(last, most, lower, upper, strict=True)]
-        return cls(
-            tuple([max(q - far * _SLACK, min(low, q) - _ROUNDING) for q, far, low, _ in joints]),
-            tuple([min(q + far * _SLACK, max(high, q) + _ROUNDING) for q, far, _, high in joints]),
-        )
-
-
-NO_BOUNDS = ReplyBounds((), ())
-"""They allow no correction."""

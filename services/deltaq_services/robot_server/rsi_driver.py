@@ -23,7 +23,7 @@ from deltaq_protocol.rsi.layout import MAX_IPOC
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.plausibility import Plausibility
 from deltaq_services.robot_server.pulses_cut_short import SESSIONS
-from deltaq_services.robot_server.reply_guard import ReplyBounds, ReplyFault, reply_fault
+from deltaq_services.robot_server.reply_guard import ReplyFault, reply_fault
 from deltaq_services.robot_server.session import STILL, Answer, Belief, Session, SessionMemory, TelegramKind
 
 
@@ -87,7 +87,6 @@ class RsiDriver:
         self._upper: list[float] = []
         self._zero = np.zeros(codec.joints)
         self._sent: Array | None = None
-        self._bounds: tuple[Array, ReplyBounds] | None = None
         self._earlier: deque[tuple[Array, Array]] = deque(maxlen=SESSIONS)
         self._opened = False
         self._outputs: Mapping[str, bool] = {}
@@ -152,33 +151,6 @@ class RsiDriver:
             self._sent = correction
         self._outputs = dict(outputs)
         return self._codec.encode(self.session.last.ipoc, self._sent, outputs, stop=stop)
-
-    def ahead(
-        self, ipoc: int, q_cmd: Array, outputs: Mapping[str, bool], stop: bool
-    ) -> tuple[bytes, tuple[float, ...]] | None:
-        """What `reply` would answer to a telegram of that IPOC, and its correction (n,) [rad or m].
-
-        None if there is no session, or the guard would refuse the correction.
-        """
-        if self._origin is None or self._sent is None:
-            return None
-        correction, sent = q_cmd - self._origin, self._sent.tolist()
-        values = correction.tolist()
-        if reply_fault(values, sent, self._most, self._lower, self._upper) is not None:
-            return None
-        self._bounds = self._sent, ReplyBounds.of(sent, self._most, self._lower, self._upper)
-        return self._codec.encode(ipoc, correction, outputs, stop=stop), tuple(values)
-
-    @property
-    def bounds(self) -> ReplyBounds | None:
-        """The guard's, of the correction that was got ready with `ahead`; None if another was sent since."""
-        if self._bounds is None or self._bounds[0] is not self._sent:
-            return None
-        return self._bounds[1]
-
-    def sent_instead(self, correction: tuple[float, ...]) -> None:
-        """The KRC was sent this correction (n,) [rad or m], whatever was decided since."""
-        self._sent = np.array(correction)
 
     @property
     def q_sent(self) -> Array:

@@ -15,7 +15,7 @@ from deltaq_services.robot_server.crash_brake.record_maker import CrashRecordMak
 from deltaq_services.robot_server.crash_brake.watch import CrashWatch
 from deltaq_services.robot_server.ending import Ending
 from deltaq_services.robot_server.guarded_link import GuardedLink
-from deltaq_services.robot_server.krc_file import crash_plan, preparation, sensor_codec
+from deltaq_services.robot_server.krc_file import crash_plan, sensor_codec
 from deltaq_services.robot_server.krc_socket import KrcSocket
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.rsi_driver import RsiDriver
@@ -46,7 +46,6 @@ def _serve_rsi(cell: CellDescription, server: RobotServer, driver: RsiDescriptio
     rsi = RsiDriver(sensor_codec(cell, server.robot, xml), cell, server.robot, server.counters)
     plan = crash_plan(cell, server.robot, xml)
     records = CrashRecordMaker(plan, rsi, tuple(driver.outputs))
-    prepares = preparation(cell, server, rsi, xml, records)
     link = GuardedLink(cell, server.robot, server.counters)
     silence_s = cell.gate.krc_timeout_s
     try:
@@ -55,7 +54,7 @@ def _serve_rsi(cell: CellDescription, server: RobotServer, driver: RsiDescriptio
             CrashWatch(plan, krc.socket, server.robot) as krc.watch,
         ):
             ending = Ending(server)
-            loop = RsiLoop(server, rsi, krc, link, ending, prepares, cell.cycle_s, silence_s, records)
+            loop = RsiLoop(server, rsi, krc, link, ending, silence_s, records)
             place = f"{driver.address}:{driver.port}"
             _log.info("ready: robot-server-%s waits for its KRC on %s", server.robot, place)
             loop.run()

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
 import mmap
-from typing import NamedTuple
 
 from deltaq_services.robot_server.crash_brake.owner_mutex import MUTEX_BYTES, OwnerMutex
 from deltaq_services.robot_server.crash_brake.record import (
@@ -17,23 +15,6 @@ from deltaq_services.robot_server.crash_brake.record import (
 
 _FLAGS_BYTES = 8
 _ARMED, _RELEASED = 0, 1
-
-
-class OpenRecord(NamedTuple):
-    """The next record but for its time, and where machine code leaves it; compare `CrashMemory.write`.
-
-    Attributes:
-        number: of the record.
-        begins, checksum: see `BegunRecord`.
-        address: in memory, where it belongs.
-        sent_address: in memory, where its number belongs when its reply was sent.
-    """
-
-    number: int
-    begins: bytes
-    checksum: int
-    address: int
-    sent_address: int
 
 
 class CrashMemory:
@@ -51,7 +32,6 @@ class CrashMemory:
         self._file, self._records = file, records
         self._flags = records.total
         self._number = NOTHING
-        self._address = ctypes.addressof(ctypes.c_char.from_buffer(file))
         self.mutex = OwnerMutex(file, records.total + _FLAGS_BYTES)
 
     @staticmethod
@@ -77,17 +57,6 @@ class CrashMemory:
     def released(self, is_released: bool) -> None:
         self._file[self._flags + _RELEASED] = is_released
 
-    def open(self, body: bytes, peer: PeerAddress) -> OpenRecord:
-        """The next record, for machine code to write; arguments as of `CrashRecords.begun`."""
-        number = self._number + 1
-        begun = self._records.begun(body, number, peer)
-        sent_address = self._address + self._records.sent_at
-        return OpenRecord(number, begun.begins, begun.checksum, self._address + begun.place, sent_address)
-
-    def written(self) -> None:
-        """Machine code has written the record that was open."""
-        self._number += 1
-
     def write(self, body: bytes, peer: PeerAddress, time_s: float) -> None:
         """Leave a record; its reply is about to be sent.
 
@@ -97,9 +66,8 @@ class CrashMemory:
             time_s: when its telegram came.
         """
         self._number += 1
-        begun = self._records.begun(body, self._number, peer)
-        record = begun.sealed(time_s)
-        self._file[begun.place : begun.place + len(record)] = record
+        place, record = self._records.sealed(body, self._number, peer, time_s)
+        self._file[place : place + len(record)] = record
 
     def sent(self) -> None:
         """The reply of the record that was written last was handed to the network."""

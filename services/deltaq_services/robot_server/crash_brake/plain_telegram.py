@@ -1,6 +1,6 @@
 """Telegrams read and replies written with bytes and tuples alone, for a process that loads neither numpy nor zenoh.
 
-Both are compiled elsewhere, from the KRC's file: the pattern by `UsualTelegrams`, the template by `SensorCodec`.
+Both are compiled elsewhere, from the KRC's file: the pattern by `usual_telegram`, the template by `SensorCodec`.
 """
 
 from __future__ import annotations

@@ -73,25 +73,6 @@ class LastReply(NamedTuple):
     was_sent: bool
 
 
-class BegunRecord(NamedTuple):
-    """All of a sealed record but the time at which its telegram came.
-
-    Attributes:
-        place: where it belongs.
-        begins: its bytes up to the time, without the checksum.
-        checksum: of these bytes.
-    """
-
-    place: int
-    begins: bytes
-    checksum: int
-
-    def sealed(self, time_s: float) -> bytes:
-        """The whole record."""
-        time = _TIME.pack(time_s)
-        return _SUM.pack(zlib.crc32(time, self.checksum)) + self.begins + time
-
-
 class CrashRecords:
     """The layout of one robot's records.
 
@@ -113,7 +94,7 @@ class CrashRecords:
         self.total = self.sent_at + SENT.size
 
     def body(self, record: CrashRecord) -> bytes:
-        """All of a record that is known before its telegram comes."""
+        """All of a record but what names, times and seals it."""
         cycle = _CYCLE.pack(
             record.ipoc,
             record.ipoc_step,
@@ -125,17 +106,18 @@ class CrashRecords:
         values = (*record.correction, *record.plan_dq, *record.lower, *record.upper, *record.outputs)
         return cycle + self._values.pack(*values)
 
-    def begun(self, body: bytes, number: int, peer: PeerAddress) -> BegunRecord:
-        """A record as far as it is known before its telegram comes.
+    def sealed(self, body: bytes, number: int, peer: PeerAddress, time_s: float) -> tuple[int, bytes]:
+        """Where a record belongs, and all its bytes.
 
         Args:
             body: of the record.
             number: one more than that of the record before.
             peer: address of the KRC that is answered.
+            time_s: when its telegram came.
         """
         host, port = peer
-        begins = _HEAD.pack(number, bytes(map(int, host.split("."))), port) + body
-        return BegunRecord((number & 1) * self.size, begins, zlib.crc32(begins))
+        begins = _HEAD.pack(number, bytes(map(int, host.split("."))), port) + body + _TIME.pack(time_s)
+        return (number & 1) * self.size, _SUM.pack(zlib.crc32(begins)) + begins
 
     def newest(self, memory: bytes) -> LastReply | None:
         """The newest whole record; None if there is none that can be trusted.

@@ -25,21 +25,21 @@ class CrashRecordMaker:
         self._records = CrashRecords(len(plan.most), plan.outputs)
         self._rsi, self._outputs = rsi, outputs
 
-    def record(
-        self,
-        datagram: bytes,
-        ipoc: int,
-        correction: tuple[float, ...],
-        outputs: Mapping[str, bool],
-        motion: SetpointMotion,
+    def body(self, record: CrashRecord | None) -> bytes | None:
+        """The bytes of a record, see `CrashRecords.body`; None if a number does not fit into it."""
+        try:
+            return None if record is None else self._records.body(record)
+        except struct.error:
+            return None
+
+    def of_last(
+        self, datagram: bytes, ipoc: int, outputs: Mapping[str, bool], motion: SetpointMotion
     ) -> CrashRecord | None:
-        """The record of a reply.
+        """The record of the reply that the driver made last.
 
         Args:
-            datagram: a telegram of the session, in which late replies and programmed position are those of the one that
-                is answered.
-            ipoc: of the telegram that is answered.
-            correction: (n,) of the reply [rad or m].
+            datagram: the telegram that is answered.
+            ipoc: of that telegram.
             outputs: of the reply, by name.
             motion: the motion that the reply belongs to.
 
@@ -49,6 +49,8 @@ class CrashRecordMaker:
         telegram, ipoc_step = self._telegrams.read(datagram), self._rsi.session.step
         if telegram is None or ipoc_step is None:
             return None
+        if self._rsi.fault is not None:
+            motion = SetpointMotion.at_rest(motion.q_cmd)  # the KRC gets its last correction again, and stays
         lower, upper = self._rsi.limits
         return CrashRecord(
             ipoc=ipoc,
@@ -56,25 +58,10 @@ class CrashRecordMaker:
             programmed=telegram.programmed,
             ipoc_step=ipoc_step,
             outputs=tuple([bool(outputs.get(name)) for name in self._outputs]),
-            correction=correction,
+            correction=self._rsi.correction,
             plan_dq=tuple(motion.plan_dq.tolist()),
             brake_cycles=motion.brake_cycles,
             step=motion.step,
             lower=lower,
             upper=upper,
         )
-
-    def body(self, record: CrashRecord | None) -> bytes | None:
-        """All bytes of a record that are known before its telegram comes; None if a number does not fit into it."""
-        try:
-            return None if record is None else self._records.body(record)
-        except struct.error:
-            return None
-
-    def of_last(
-        self, datagram: bytes, ipoc: int, outputs: Mapping[str, bool], motion: SetpointMotion
-    ) -> CrashRecord | None:
-        """The record of the reply that the driver made last; arguments as of `record`."""
-        if self._rsi.fault is not None:
-            motion = SetpointMotion.at_rest(motion.q_cmd)  # the KRC gets its last correction again, and stays
-        return self.record(datagram, ipoc, self._rsi.correction, outputs, motion)

@@ -14,7 +14,7 @@ from typing import Self
 
 from deltaq_protocol.endpoint import Address
 from deltaq_services.robot_server.crash_brake.core import CrashPlan
-from deltaq_services.robot_server.crash_brake.memory import CrashMemory, OpenRecord
+from deltaq_services.robot_server.crash_brake.memory import CrashMemory
 from deltaq_services.robot_server.crash_brake.record import CrashRecords
 
 _PROCESS = "deltaq_services.robot_server.crash_brake.process"
@@ -100,14 +100,6 @@ class CrashWatch:
             self._memory.clear()
         else:
             self._memory.write(body, peer, time_s)
-
-    def open(self, body: bytes, peer: Address) -> OpenRecord:
-        """The next record, for machine code to write; another may be left all the same."""
-        return self._memory.open(body, peer)
-
-    def written(self) -> None:
-        """Machine code has written the record that was open, and said that its reply was sent."""
-        self._memory.written()
 
     def sent(self) -> None:
         """The reply was handed to the network."""
