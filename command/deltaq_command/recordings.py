@@ -54,7 +54,7 @@ def record(
 def replay(
     file: Annotated[Path, typer.Argument(help="MCAP file that deltaq recorded.")], json: JsonOption = False
 ) -> None:
-    """Run a recording through the gate again and compare every verdict; exit status 1 if anything differs."""
+    """Run a recording through the gate again and compare every verdict; exit status 1 if any differs or is missing."""
     from deltaq_command.console import print_json, print_table
     from deltaq_command.progress import progress_bar
     from deltaq_verification.replay import replay as run
@@ -118,6 +118,10 @@ def notices(result: Replay) -> list[str]:
         )
     if not result.messages:
         lines.append("nothing could be replayed: the recording has no snapshot of the gate to begin from")
+    elif not result.verdicts:
+        lines.append(
+            "nothing to compare: no verdict of the gate was recorded, since no controller asked for motion"
+        )
     return lines
 
 

@@ -37,7 +37,7 @@ def plot(path: Path, picture: Path) -> list[str]:
     recording = Recording.open(path)
     draw(
         panels_of(recording),
-        f"{path.name}, cell {recording.about['cell']}, {recording.about['source']}",
+        f"{path.name}, cell {recording.about['cell']}, {recording.about.get('source', '')}",
         picture,
     )
     return recording.notices

@@ -93,6 +93,21 @@ async def test_garbage_ends_neither_the_connection_nor_the_service(tmp_path):
         assert console.core.counters["malformed"] == 5
 
 
+async def test_text_that_is_not_utf_8_ends_its_connection_and_is_counted_without_a_traceback(
+    tmp_path, caplog
+):
+    caplog.set_level("WARNING")
+    async with served(tmp_path) as (console, host), websockets.connect(live(host)) as other:
+        async with websockets.connect(live(host)) as browser:
+            await browser.send(b"\xff\xfe{", text=True)
+            with pytest.raises(websockets.ConnectionClosed) as closed:
+                await told(browser, "never")
+        assert closed.value.rcvd.code == 1007
+        assert console.core.counters["malformed"] == 1
+        assert await told(other, "status")
+    assert not caplog.records
+
+
 @pytest.mark.long
 async def test_a_message_beyond_all_bounds_ends_its_connection_and_no_other(tmp_path):
     async with (

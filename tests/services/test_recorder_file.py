@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import struct
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from rewritten import rewrite
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_protocol import topics
 from deltaq_protocol.messages import Description, Phase, RobotState
+from deltaq_services.recorder.protobuf import recorded_schema
 from deltaq_services.recorder.reader import Recording, UnreadableRecordingError
 from deltaq_services.recorder.writer import RecordingError, RecordingWriter
 
@@ -125,6 +131,71 @@ def test_a_file_cut_off_in_its_beginning_is_no_recording(recorded: Path, tmp_pat
         cut.write_bytes(data[:length])
         with pytest.raises(UnreadableRecordingError):
             Recording.open(cut)
+
+
+def with_chunk(recorded: Path, claimed: int, packed: bytes) -> bytes:
+    """The recording's bytes with one more chunk, before its first."""
+    body = struct.pack("<QQQI", 0, 0, claimed, 0) + struct.pack("<I", 4) + b"zstd"
+    body += struct.pack("<Q", len(packed)) + packed
+    with recorded.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    place, data = summary.chunk_indexes[0].chunk_start_offset, recorded.read_bytes()
+    return data[:place] + bytes([Opcode.CHUNK]) + struct.pack("<Q", len(body)) + body + data[place:]
+
+
+@pytest.mark.parametrize(
+    ("claimed", "says"), [(3 << 30, "claims 3221225472 bytes unpacked, and at most"), (100, "and has more")]
+)
+def test_a_chunk_is_never_unpacked_beyond_its_bound(
+    recorded: Path, tmp_path: Path, claimed: int, says: str
+) -> None:
+    zeros = zstandard.ZstdCompressor().compressobj()
+    packed = b"".join(zeros.compress(bytes(1 << 20)) for _ in range(512)) + zeros.flush()
+    bomb = tmp_path / "bomb.mcap"
+    bomb.write_bytes(with_chunk(recorded, claimed, packed))
+    recording = Recording.open(bomb)
+    tracemalloc.start()
+    try:
+        assert cycles(recording) == list(range(STATES))
+        assert tracemalloc.get_traced_memory()[1] < 64 << 20
+    finally:
+        tracemalloc.stop()
+    assert says in recording.notices[0]
+
+
+@pytest.mark.parametrize("missing", ["robots", "cell"])
+def test_metadata_that_lacks_an_entry_is_told_by_its_name(
+    recorded: Path, tmp_path: Path, missing: str
+) -> None:
+    file = tmp_path / "run.mcap"
+    rewrite(recorded, file, about=lambda entries: {k: v for k, v in entries.items() if k != missing})
+    with pytest.raises(UnreadableRecordingError, match=f"its metadata 'deltaq' has no '{missing}'"):
+        Recording.open(file)
+
+
+def test_a_robot_without_its_urdf_is_told_by_its_name(recorded: Path, tmp_path: Path) -> None:
+    file = rewrite(recorded, tmp_path / "run.mcap", about=lambda entries: {**entries, "robots": "gr"})
+    file = rewrite(file, tmp_path / "less.mcap", without=["fr.urdf"])
+    with pytest.raises(UnreadableRecordingError, match="it has no URDF of fr"):
+        Recording.open(file).cell()
+
+
+def test_a_value_that_its_schema_does_not_have_costs_its_message_alone(
+    recorded: Path, tmp_path: Path
+) -> None:
+    def unknown_phase(topic: str, number: int, data: bytes) -> bytes:
+        del number
+        if not topic.endswith("/state"):
+            return data
+        encoded = recorded_schema().classes[RobotState].FromString(data)
+        if encoded.cycle == 7:
+            encoded.phase = 99
+        return bytes(encoded.SerializeToString())
+
+    recording = Recording.open(rewrite(recorded, tmp_path / "run.mcap", unknown_phase))
+    assert cycles(recording) == [cycle for cycle in range(STATES) if cycle != 7]
+    assert recording.notices == ["messages left out because they are not of this version: 1"]
 
 
 @pytest.mark.long

@@ -16,8 +16,11 @@ def rewrite(
     change: Callable[[str, int, bytes], bytes | None] = lambda _topic, _number, data: data,
     chunk_size: int = 2**20,
     without: Collection[str] = (),
+    about: Callable[[dict[str, str]], dict[str, str]] = dict,
 ) -> Path:
     """Copy a recording; `change` takes topic, sequence number and payload and gives the payload, or None for none.
+
+    `about` takes the entries of its metadata and gives those of the copy.
 
     Attachments named in `without` are left out. Returns the copy.
     """
@@ -28,7 +31,7 @@ def rewrite(
         writer.start()
         for record in StreamReader(file).records:
             if isinstance(record, Metadata):
-                writer.add_metadata(record.name, record.metadata)
+                writer.add_metadata(record.name, about(record.metadata))
             elif isinstance(record, Attachment):
                 if record.name in without:
                     continue

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,12 +15,17 @@ from rewritten import rewrite
 from table import change_row
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_command.recordings import notices
 from deltaq_experiments.replay_plot import panels_of
-from deltaq_protocol.messages import NearestPair, Verdict
+from deltaq_experiments.run_report.run import read_run
+from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.messages import Message, NearestPair, Verdict
 from deltaq_protocol.receipts import receipt_of
 from deltaq_protocol.topic import Messages
+from deltaq_services.outputs import ToTopic
 from deltaq_services.recorder.protobuf import recorded_schema, to_message
 from deltaq_services.recorder.reader import Recording
+from deltaq_services.recorder.replayed import replayed as as_the_console_shows
 from deltaq_services.sim.core import Sim
 from deltaq_verification.recorded import virtual_cell
 from deltaq_verification.replay import Replay, differing_fields, replay
@@ -266,6 +273,30 @@ def test_the_command_tells_a_difference_by_cycle_and_field_with_exit_status_1(
     assert "missing.mcap" in none.stderr
 
 
+def test_a_recording_in_which_nobody_asked_for_motion_is_not_good_and_says_so(tmp_path: Path) -> None:
+    with virtual_cell("lab", record=tmp_path / "idle.mcap") as stack:
+        stack.run_until_ready()
+    result = replay(tmp_path / "idle.mcap")
+    assert result.messages
+    assert not result.good
+    assert [line for line in notices(result) if line.startswith("nothing to compare")]
+
+
+def test_a_message_that_the_gate_cannot_take_is_a_difference(
+    recorded: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    take, when = Sim.take, iter(range(1000))
+
+    def fails_once(sim: Sim, message: Message) -> list[ToTopic]:
+        return take(sim, message) if next(when) != 40 else [][0]
+
+    monkeypatch.setattr(Sim, "take", fails_once)
+    found = replay(recorded)
+    assert not found.good
+    assert [line for line in map(str, found.differences) if "IndexError('list index out of range')" in line]
+    assert found.memories  # it goes on from the next snapshot
+
+
 def test_differences_are_found_in_lists_maps_and_the_sign_of_zero() -> None:
     was = {"a": [1.0, {"b": 0.0}], "c": None, "d": (1,)}
     now = {"a": [1.0, {"b": -0.0}], "c": 2, "d": (1, 2)}
@@ -290,3 +321,39 @@ def test_the_figure_of_a_recording_shows_both_robots_and_where_the_gate_stepped_
     done = deltaq("plot", str(recorded), "--figure", str(tmp_path / "figure.png"))
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.nightly
+def test_a_damaged_recording_ends_every_reader_with_a_line_or_not_at_all(
+    recorded: Path, tmp_path: Path
+) -> None:
+    """Bytes of the file, and of messages whose checksum is then made anew, changed at random."""
+    random = np.random.default_rng(11)
+    damaged, identity = tmp_path / "damaged.mcap", Recording.open(recorded).about["identity"]
+    readers: tuple[Callable[[Path], object], ...] = (
+        replay,
+        read_run,
+        lambda file: panels_of(Recording.open(file)),
+        lambda file: as_the_console_shows(file, identity),
+    )
+
+    def changed(data: bytes, count: int) -> bytes:
+        bytes_of = bytearray(data)
+        for place in random.integers(0, len(data), count) if data else ():
+            some = [
+                struct.pack("<d", random.choice([1e308, np.nan, -0.0, 5e-324])),
+                b"\xff" * 8,
+                b"\x00",
+                b"",
+            ]
+            bytes_of[place : place + random.integers(1, 9)] = some[random.integers(0, len(some))]
+        return bytes(bytes_of)
+
+    for trial in range(400):
+        if trial % 2:
+            damaged.write_bytes(changed(recorded.read_bytes(), int(random.integers(1, 20))))
+        else:
+            rewrite(recorded, damaged, lambda _t, _n, data: changed(data, int(random.random() < 0.02)))
+        for read in readers:
+            with contextlib.suppress(DeltaqError):
+                read(damaged)

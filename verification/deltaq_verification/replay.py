@@ -98,8 +98,8 @@ class Replay:
 
     @property
     def good(self) -> bool:
-        """Something was replayed, nothing differs and the chain of receipts holds."""
-        return self.messages > 0 and not self.difference_count and not self.broken_receipts
+        """Verdicts were compared, nothing differs and the chain of receipts holds."""
+        return self.verdicts > 0 and not self.difference_count and not self.broken_receipts
 
 
 def replay(
@@ -177,7 +177,7 @@ class _Run:
         """One message that the gate took, or one of its snapshots."""
         taken = exchange.taken
         if isinstance(taken.message, GateMemory):
-            self._remember(taken.message)
+            self._remember(taken, taken.message)
             return
         result, sim = self._result, self._sim
         if self._last is not None and taken.number != (self._last + 1) % _NUMBERS:
@@ -191,7 +191,12 @@ class _Run:
             result.skipped += 1
             return
         result.messages += 1
-        self._compare(taken, exchange.given, sim.take(taken.message))
+        try:
+            outputs = sim.take(taken.message)
+        except Exception as error:  # a made-up recording raises many unrelated types
+            self._raised(taken, error)
+        else:
+            self._compare(taken, exchange.given, outputs)
 
     def result(self, notices: list[str]) -> Replay:
         """The result."""
@@ -200,7 +205,12 @@ class _Run:
         result.notices = list(notices)
         return result
 
-    def _remember(self, memory: GateMemory) -> None:
+    def _raised(self, taken: Recorded, error: Exception) -> None:
+        """The gate could not take this; go on from its next snapshot."""
+        self._in_step = False
+        self._tell(taken.number, taken.topic, taken.message, "", "taken", repr(error))
+
+    def _remember(self, taken: Recorded, memory: GateMemory) -> None:
         result, sim = self._result, self._sim
         result.recorded_fingerprint = memory.fingerprint
         if self._in_step and (memory.epoch, memory.number) == (sim.epoch, sim.taken):
@@ -213,7 +223,11 @@ class _Run:
         if memory.epoch != sim.epoch:
             self._last = None  # another process of the SIM, which counts anew
         # whatever differed or is missing before, from here on the recorded state applies
-        sim.restore(memory)
+        try:
+            sim.restore(memory)
+        except Exception as error:  # as above
+            self._raised(taken, error)
+            return
         self._in_step = True
         self._receipt = memory.receipt
 

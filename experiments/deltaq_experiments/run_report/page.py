@@ -259,7 +259,7 @@ def _amount(value: float, unit: str) -> str:
     return (
         f"{round(math.degrees(value), 1) + 0.0:.1f}°"
         if unit == "rad"
-        else f"{round(1000 * value) + 0.0:.0f} mm"
+        else f"{round(1000 * value, 0) + 0.0:.0f} mm"
     )
 
 

@@ -14,6 +14,8 @@ from fastapi import WebSocket, WebSocketDisconnect
 
 _MOST_WAITING = 1000
 _TOO_SLOW = 1013
+_NOT_TEXT = 1007
+"""Of WebSocket: a text that is not UTF-8, after which the server has ended the connection."""
 
 
 class BrowserConnection:
@@ -56,6 +58,8 @@ class BrowserConnection:
         while True:
             message = await self._websocket.receive()
             if message["type"] == "websocket.disconnect":
+                if message.get("code") == _NOT_TEXT:
+                    take(b"")  # counted as every malformed message is
                 return
             text = message.get("text")
             take(text if text is not None else message.get("bytes") or b"")

@@ -83,8 +83,14 @@ class _Server(uvicorn.Server):
         yield
 
 
+def _is_told(record: logging.LogRecord) -> bool:
+    """Whether a line of uvicorn's log is shown: not its traceback of bytes that are no text, which are counted."""
+    return not (record.exc_info and isinstance(record.exc_info[1], UnicodeError))
+
+
 def server_of(app: FastAPI) -> uvicorn.Server:
     """The server of an application; it reads no more of a message than is needed to refuse it."""
+    logging.getLogger("uvicorn.error").addFilter(_is_told)
     return _Server(
         uvicorn.Config(
             app,

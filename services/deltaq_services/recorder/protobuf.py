@@ -16,9 +16,10 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
-from deltaq_protocol.codec import from_map
+from deltaq_protocol.codec import InvalidMessageError, from_map
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import Message
+from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.topics import TOPICS
 
 PACKAGE = "deltaq"
@@ -96,7 +97,16 @@ def to_message(message_type: type[M], source: Any) -> M:
     Raises:
         InvalidMessageError: if its fields do not make a message of that type.
     """
-    return from_map(message_type, _map_of(source, message_type))
+    try:
+        values = _map_of(source, message_type)
+    except (
+        KeyError,
+        ValueError,
+        TypeError,
+        AttributeError,
+    ) as error:  # its descriptor has fields of other types
+        raise InvalidMessageError(f"{message_type.__name__}: {error!r}", ReasonCode.MALFORMED) from error
+    return from_map(message_type, values)
 
 
 @cache

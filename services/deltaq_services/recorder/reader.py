@@ -9,11 +9,14 @@ from __future__ import annotations
 import contextlib
 import struct
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from io import BytesIO
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
+import lz4.frame
+import zstandard
 from google.protobuf.message import DecodeError
 from mcap.exceptions import EndOfFile, McapError
 from mcap.reader import SeekingReader
@@ -22,7 +25,6 @@ from mcap.records import Message as McapMessage
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap_protobuf.decoder import DecoderFactory
 from pydantic import TypeAdapter, ValidationError
-from zstandard import ZstdError
 
 from deltaq_cell.cell_model import CellModel, robots_told
 from deltaq_cell.hull import Corners
@@ -37,8 +39,23 @@ from deltaq_services.recorder.writer import CELL_FILE, HULLS_FILE, METADATA
 
 _HULLS: TypeAdapter[dict[str, dict[str, Corners]]] = TypeAdapter(dict[str, dict[str, Corners]])
 _LONGEST_RECORD = 64 * 1024 * 1024
-_UNREADABLE = (McapError, ZstdError, struct.error, ValueError, OverflowError, MemoryError)
-"""Errors that the MCAP reader raises on damaged bytes."""
+_LONGEST_CHUNK = 16 * 1024 * 1024
+"""Of its unpacked bytes: some sixty times what the recorder writes."""
+_UNPACK: dict[str, Callable[..., Any]] = {"zstd": zstandard.open, "lz4": lz4.frame.open}
+_UNREADABLE = (
+    McapError,
+    zstandard.ZstdError,
+    RuntimeError,
+    EOFError,
+    OSError,
+    struct.error,
+    ValueError,
+    OverflowError,
+    MemoryError,
+)
+"""Errors that the MCAP reader, the decompressors and a damaged disk raise."""
+_ABOUT = ("cell", "robots")
+"""Entries of the metadata without which nothing can be read."""
 
 
 class UnreadableRecordingError(DeltaqError):
@@ -94,7 +111,7 @@ class Recording:
         recording = cls(path)
         for record, _ in recording._records():
             if isinstance(record, Metadata) and record.name == METADATA:
-                recording.about = dict(record.metadata)
+                recording.about = _about(record, path)
             elif isinstance(record, Attachment) and record.name == CELL_FILE:
                 recording.yaml = _text(record, path)
             elif isinstance(record, Attachment) and record.name == HULLS_FILE:
@@ -124,8 +141,13 @@ class Recording:
         Raises:
             CellError: this version cannot read its description.
             RobotModelError: a robot's meshes are not found.
+            UnreadableRecordingError: it has no URDF of one of the cell's robots.
         """
         description = parse_cell(self.yaml, str(self.path))
+        if missing := [name for name in description.robots if name not in self.urdf]:
+            raise UnreadableRecordingError(
+                f"{self.path} is damaged: it has no URDF of {', '.join(missing)}, which its {CELL_FILE} names"
+            )
         robots = robots_told(description, self.urdf, self.hulls)
         return CellModel.of(description, robots, self.yaml)
 
@@ -170,7 +192,7 @@ class Recording:
     def _repeated(self) -> Iterator[tuple[McapRecord, int]]:
         """Schemas and channels as a complete file repeats them at its end: the chunk that has them may be damaged."""
         with contextlib.suppress(*_UNREADABLE), self.path.open("rb") as file:
-            summary = SeekingReader(file, validate_crcs=True).get_summary()
+            summary = SeekingReader(file, True, record_size_limit=_LONGEST_RECORD).get_summary()
             if summary is not None:
                 yield from ((record, 0) for record in (*summary.schemas.values(), *summary.channels.values()))
 
@@ -196,7 +218,7 @@ class Recording:
 
     def _unpacked(self, chunk: Chunk, position: int) -> list[McapRecord]:
         try:
-            return breakup_chunk(chunk, validate_crc=True)
+            return breakup_chunk(_plain(chunk), validate_crc=True)
         except _UNREADABLE as error:
             self.notices.append(
                 f"the chunk that ends at byte {position} is damaged and was left out: {error}"
@@ -208,6 +230,29 @@ class Recording:
         if isinstance(error, EndOfFile) or position >= size:
             return f"the file is cut off at byte {size}: it was read as far as it goes"
         return f"the file is damaged before byte {position} of {size}, and was read up to there: {error}"
+
+
+def _plain(chunk: Chunk) -> Chunk:
+    """The chunk without compression; never more bytes are unpacked than it claims, nor more than a chunk may have."""
+    size = chunk.uncompressed_size
+    if size > _LONGEST_CHUNK:
+        raise ValueError(f"it claims {size} bytes unpacked, and at most {_LONGEST_CHUNK} are read")
+    if chunk.compression not in _UNPACK:
+        return chunk
+    with _UNPACK[chunk.compression](BytesIO(chunk.data)) as stream:
+        data = stream.read(size + 1)
+    if len(data) != size:
+        raise ValueError(
+            f"it claims {size} bytes unpacked, and has {'more' if len(data) > size else len(data)}"
+        )
+    return replace(chunk, compression="", data=data)
+
+
+def _about(record: Metadata, path: Path) -> dict[str, str]:
+    for name in _ABOUT:
+        if not record.metadata.get(name):
+            raise UnreadableRecordingError(f"{path} is damaged: its metadata {METADATA!r} has no {name!r}")
+    return dict(record.metadata)
 
 
 def _hulls(text: str, path: Path) -> dict[str, dict[str, Corners]]:

@@ -107,10 +107,10 @@ class _Track:
 
     def go_on(self, time_s: float) -> None:
         """Note every tick before this time."""
+        while time_s > self._most_ticks * self.period_s:
+            self._thin()
         while self._count * self.period_s < time_s:
             self.tick()
-            if self._count >= self._most_ticks:
-                self._thin()
 
     def tick(self) -> None:
         """Note where everything is."""
