@@ -1,10 +1,22 @@
 """A running cell with its console, and Chromium to look at it; both are started once for all tests here."""
 
+import base64
+import json
 import os
 import shutil
+import subprocess
+import sys
+import time
 from contextlib import contextmanager
+from urllib.error import URLError
+from urllib.request import urlopen
 
 import pytest
+from console_bench import ConsoleBench
+from small_cell import free_port
+
+from deltaq_protocol.messages import Phase
+from deltaq_services.console.messages import ConsoleHello, ConsoleStatus, LeaseView, RobotStatusView
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 FLAGS = (
@@ -19,7 +31,7 @@ FLAGS = (
     "--disable-component-update",
     "--disable-sync",
 )
-TIMEOUT_MS = 60_000
+TIMEOUT_S, TIMEOUT_MS = 60, 60_000
 """For what has to happen some time; a machine may be busy, and nothing here judges how long it takes."""
 
 
@@ -90,3 +102,105 @@ def opened(chromium, served_cell):
     for context in contexts:
         context.close()
     assert not errors
+
+
+# --- the page alone: a console without a cell serves it, and the test is its line -----------------------------
+
+LINE = """(() => {
+    const Real = window.WebSocket;
+    const line = window.line = {sent: [], answers: true, status: null, hello: HELLO, sockets: [], shows: true};
+    const frame = Uint8Array.from(atob("FRAME"), (one) => one.charCodeAt(0)).buffer;
+    class Line {
+        constructor() {
+            Object.assign(this, {bufferedAmount: 0});
+            line.sockets.push(this);
+            setTimeout(() => { this.says(line.hello); this.says(line.status); });
+            this.timer = setInterval(() => line.shows && this.frame(), 60);
+        }
+        says(message) { this.onmessage?.({data: JSON.stringify(message)}); }
+        frame() {
+            new DataView(frame).setFloat64(4, Date.now() / 1000, true);
+            this.onmessage?.({data: frame.slice(0)});
+        }
+        send(text) {
+            const {type, id, sent_ms} = JSON.parse(text);
+            line.sent.push(JSON.parse(text));
+            if (type === "ping") this.says({type: "pong", id, sent_ms, server_ms: sent_ms});
+            else if (line.answers) this.says({type: "ack", id, outcome: "done", text: "", ...line.answers});
+        }
+        close() { clearInterval(this.timer); this.onclose?.(); }
+    }
+    window.WebSocket = new Proxy(Real, {
+        construct: (_, [url, ...more]) => url.includes("/live") ? new Line() : new Real(url, ...more),
+    });
+    line.show = (status) => { line.status = status; line.sockets.at(-1).says(status); };
+})()"""
+
+
+@pytest.fixture(scope="session")
+def lone_console(last_use):
+    return last_use.enter("lone_console", served_alone())
+
+
+@contextmanager
+def served_alone():
+    port = free_port()
+    command = (sys.executable, "-m", "deltaq_services.console", "--emulated", "--port", str(port))
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    url = f"http://127.0.0.1:{port}"
+    deadline = time.monotonic() + TIMEOUT_S
+    while True:
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        try:
+            urlopen(f"{url}/health").close()
+            break
+        except URLError:
+            time.sleep(0.2)
+    yield url
+    process.terminate()
+    process.wait(TIMEOUT_S)
+
+
+def status(fr=None, gr=None, **fields):
+    """What a console says of the lab cell; each robot is ready and free where nothing else is given."""
+    robots = {"gr": gr or {}, "fr": fr or {}}
+    views = {
+        name: RobotStatusView(**{"phase": Phase.READY, "text": "ready", **given})
+        for name, given in robots.items()
+    }
+    return ConsoleStatus(hli=fields.pop("hli", True), robots=views, **fields).model_dump(mode="json")
+
+
+def mine(**fields):
+    """The view of a robot that this page has control of."""
+    return {"lease": LeaseView(holder="Anna", mine=True), **fields}
+
+
+@pytest.fixture
+def alone(chromium, lone_console):
+    """Opens the page alone, by size and look; its `line.show(status)` says what is known from then on."""
+    contexts = []
+    bench = ConsoleBench()
+    bench.states()
+    hello = ConsoleHello(console="one", client="Anna", operator=True, token_needed=False, server_ms=0.0)
+    frame = base64.b64encode(bench.core.picture.frame(bench.now_s)).decode()
+    line = LINE.replace("HELLO", hello.model_dump_json()).replace("FRAME", frame)
+
+    def open_page(width=1280, height=720, look="dark", **more):
+        context = chromium.new_context(
+            viewport={"width": width, "height": height}, color_scheme=look, reduced_motion="reduce", **more
+        )
+        contexts.append(context)
+        page = context.new_page()
+        page.set_default_timeout(TIMEOUT_MS)
+        page.add_init_script(SLOW_SCREEN)
+        page.add_init_script(line)
+        page.add_init_script(f"line.status = {json.dumps(status())}")
+        page.goto(lone_console)
+        page.wait_for_selector("[data-ready=true]", state="attached")
+        return page
+
+    yield open_page
+    for context in contexts:
+        context.close()

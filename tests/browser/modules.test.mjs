@@ -145,6 +145,41 @@ test("STOP is repeated until it is heard, each time as a command of its own, and
   assert.equal(stop.state, "at_rest");
 });
 
+test("a STOP that nothing confirms within a second says so, and is confirmed late all the same", async (t) => {
+  const { live, socket } = driving(t);
+  const stop = new Stop(live, () => {});
+  stop.press();
+  socket.says({ type: "ack", id: socket.commands("stop")[0].id, outcome: "asked", text: "" });
+  await Promise.resolve();
+  socket.says(status({ stop: "asked" }));
+  passWithNews(socket, 960);
+  assert.equal(stop.state, "asked");
+  passWithNews(socket, 80);
+  assert.equal(stop.state, "not_confirmed");
+  socket.close();
+  pass(50);
+  assert.equal(stop.state, "not_confirmed", "the line is lost, too");
+  pass(400);
+  Socket.last.says(hello());
+  Socket.last.says(status({ stop: "asked" }));
+  assert.equal(stop.state, "not_confirmed");
+  Socket.last.says(status({ stop: "stopping" }));
+  assert.equal(stop.state, "stopping");
+  Socket.last.says(status({ stop: "none" }));
+  assert.equal(stop.state, "ready");
+});
+
+test("a STOP that the console itself does not answer within a second is not confirmed, and is sent again and again", (t) => {
+  const { live, socket } = driving(t);
+  const stop = new Stop(live, () => {});
+  stop.press();
+  passWithNews(socket, 1040);
+  assert.equal(stop.state, "not_confirmed");
+  const count = socket.commands("stop").length;
+  passWithNews(socket, 400);
+  assert.ok(socket.commands("stop").length >= count + 3);
+});
+
 test("a page that was loaded from another console than answers now is never up again, and says so", (t) => {
   const { connection, live } = driving(t);
   let replaced = 0;

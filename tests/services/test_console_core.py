@@ -256,6 +256,16 @@ def test_a_stop_that_the_hli_does_not_hear_stays_asked_and_says_so(driving_anna,
     assert any("not confirmed" in text for text in driving_anna.events("stop"))
 
 
+def test_robots_that_something_else_holds_at_rest_confirm_a_stop_that_was_asked_for(driving_anna, bench):
+    driving_anna.send("stop")
+    bench.states(Phase.HELD, ReasonCode.KRC_LOST)
+    bench.state(Phase.HELD, ReasonCode.KRC_LOST, moved=0.01)
+    assert driving_anna.status().stop is StopPhase.ASKED, "it moves still"
+    bench.states(Phase.HELD, ReasonCode.KRC_LOST)
+    assert driving_anna.status().stop is StopPhase.STOPPING
+    assert driving_anna.status().stop is StopPhase.AT_REST
+
+
 def test_robots_that_are_not_heard_are_not_said_to_rest(driving_anna, bench):
     driving_anna.send("stop")
     bench.core.answered(bench.asked("stop")[0].request, True, "", bench.now_s)

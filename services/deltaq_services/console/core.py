@@ -168,6 +168,10 @@ class ConsoleCore:
             ack = ack.model_copy(update=told)
         return [ToClient(client.number, client.answer(ack))]
 
+    def unconfirmed(self, why: str, now_s: float) -> None:
+        """Nobody has confirmed the stop in time; it is asked again all the same."""
+        self._log.add(now_s, "stop", f"the stop is not confirmed: {why} Use the emergency stop.")
+
     def recorder_ended(self, why: str, now_s: float) -> None:
         """The recorder has ended; `why` is empty if it was asked to."""
         self._log.add(now_s, "recording", self.desk.ended(why))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 import secrets
 import time
 from collections.abc import Callable
@@ -62,7 +63,7 @@ _TOLD_EVERY = 5
 _POLL_S = 0.5
 _NO_ANSWER_S = 5.0
 """Longer than a query takes to fail by itself."""
-_STOP_AGAIN_S, _MOST_STOPS = 0.1, 50
+_STOP_AGAIN_S, _CONFIRMED_S = 0.1, 1.0
 
 
 class Console:
@@ -123,6 +124,7 @@ class Console:
             for robot in description.robots
         }
         self._tasks: set[asyncio.Task[None]] = set()
+        self._newest_stop = ""
         self._heartbeat = Heartbeat()
         self._epoch_s = time.time() - time.monotonic()
 
@@ -203,7 +205,7 @@ class Console:
         """Ask the HLI; a dry run has a verdict."""
         match asked.kind:
             case "stop":
-                await self._ask_to_stop(asking, asked.client)
+                await self._ask_to_stop(asking, asked.request, asked.client)
             case "reset":
                 reset = ResetRequest(robot=asked.robot, client=asked.client)
                 await asking.ask_with_role(Done, topics.RESET, reset)
@@ -215,15 +217,19 @@ class Console:
                 return (await asking.ask(DryRunReply, topics.DRY_RUN, run, asked.robot)).verdict
         return None
 
-    async def _ask_to_stop(self, asking: Asking, client: str) -> None:
-        """Ask until the HLI has heard it: what it answers then stands."""
-        for attempt in range(1, _MOST_STOPS + 1):
+    async def _ask_to_stop(self, asking: Asking, request: str, client: str) -> None:
+        """Ask until the HLI has heard it, what it answers then stands; or until a later stop is asked instead."""
+        self._newest_stop, late_s = request, self.now_s() + _CONFIRMED_S
+        while True:
             try:
                 await asking.ask(Done, topics.STOP, StopRequest(client=client))
                 return
-            except ServiceUnreachableError:
-                if attempt == _MOST_STOPS or self.core.stop.phase is not StopPhase.ASKED:
+            except ServiceUnreachableError as error:
+                if self._newest_stop != request or self.core.stop.phase is StopPhase.NONE:
                     raise
+                if self.now_s() > late_s:
+                    self.core.unconfirmed(str(error), self.now_s())
+                    late_s = math.inf  # told once
             await asyncio.sleep(_STOP_AGAIN_S)
 
     def _driver_said(self, robot: str, said: driving.DriverMessage) -> None:

@@ -50,12 +50,15 @@ class StopProgress:
             self.phase = StopPhase.STOPPING
 
     def see(self, robots: Mapping[str, RobotMotion]) -> None:
-        """The robots' newest states."""
+        """The robots' newest states.
+
+        Robots that are held at rest confirm a stop that was asked for, whatever holds them: their KRC fell silent, too.
+        """
         held = all(motion.phase in (Phase.HELD, Phase.OFFLINE) for motion in robots.values())
         stopped = any(_is_stopped(motion) for motion in robots.values())
         at_rest = all(motion.is_still or motion.phase is Phase.OFFLINE for motion in robots.values())
         if self.phase in (StopPhase.NONE, StopPhase.ASKED):
-            if held and stopped:
+            if held and (stopped or (at_rest and self.phase is StopPhase.ASKED)):
                 self.phase, self._seen_held = StopPhase.STOPPING, True
         elif held:
             self._seen_held = True

@@ -5,6 +5,7 @@ import { remember, remembered } from "./dom.js";
 
 const AGAIN_MS = 100;
 const GIVE_UP_MS = 10000;
+const CONFIRMED_MS = 1000; // later the operator has to do something else
 
 // when it was pressed, for this tab's next page
 const KEPT = "stop_pressed_ms";
@@ -16,9 +17,12 @@ const WORDS = {
   sending: ["STOP", "sending …"],
   not_sent: ["NOT SENT", "no connection: use the emergency stop"],
   asked: ["STOP", "asked: waiting for the gate"],
+  not_confirmed: ["NOT CONFIRMED", "use the emergency stop · still asking"],
   stopping: ["STOPPING", "the gate has latched it"],
   at_rest: ["STOPPED", "every robot is at rest"],
 };
+
+const CONFIRMED = ["stopping", "at_rest"];
 
 export class Stop {
   /**
@@ -26,7 +30,7 @@ export class Stop {
    * @param show called with (state, title, text) whenever what is known changes.
    */
   constructor(live, show) {
-    Object.assign(this, { live, show, state: "ready", pressed: false });
+    Object.assign(this, { live, show, state: "ready", pressed: false, _unsure_ms: null });
     live.addEventListener("status", () => this.update());
     live.addEventListener("line", () => this.update());
     const pressed_ms = keptPressed();
@@ -49,14 +53,27 @@ export class Stop {
   }
 
   update() {
-    const told = this.live.status?.stop ?? "none";
+    const { isUp } = this.live.connection;
+    const told = isUp ? this.live.status?.stop : undefined; // nothing is known before the first status
     let state = "ready";
-    if (this.pressed) state = this.live.connection.isUp ? "sending" : "not_sent";
-    else if (!this.live.connection.isUp) state = this.gaveUp ? "not_sent" : "ready";
-    else if (told !== "none") state = told;
-    if (state === "ready" && this._heard) state = "asked";
-    this.state = state;
-    this.show(state, ...WORDS[state]);
+    if (this.pressed) state = isUp ? "sending" : "not_sent";
+    else if (!isUp && this.gaveUp) state = "not_sent";
+    else if (told && told !== "none") state = told;
+    else if (this._heard || (!told && this._unsure_ms !== null)) state = "asked";
+    this.state = this._inTime(state);
+    this.show(this.state, ...WORDS[this.state]);
+  }
+
+  /** The state, or that nothing has confirmed the stop for too long. */
+  _inTime(state) {
+    clearTimeout(this._late);
+    if (state === "ready" || CONFIRMED.includes(state)) this._unsure_ms = null;
+    else this._unsure_ms ??= Date.now();
+    if (!["sending", "asked"].includes(state)) return state;
+    const left_ms = this._unsure_ms + CONFIRMED_MS - Date.now();
+    if (left_ms <= 0) return "not_confirmed";
+    this._late = setTimeout(() => this.update(), left_ms);
+    return state;
   }
 
   _send() {
