@@ -51,6 +51,7 @@ class ReasonCode(StrEnum):
     REPLY_REFUSED = "reply_refused"
     TRACKING_ERROR = "tracking_error"
     RSI_MODE = "rsi_mode"
+    CYCLE_MISMATCH = "cycle_mismatch"
     IMPOSSIBLE_STATE = "impossible_state"
     # why a reset was refused
     CAUSE_STANDS = "cause_stands"
@@ -95,6 +96,7 @@ EXPLANATIONS: dict[ReasonCode, str] = {
     ReasonCode.REPLY_REFUSED: "the Robot Server's last check refused a correction, which was not sent",
     ReasonCode.TRACKING_ERROR: "the robot left its commanded path",
     ReasonCode.RSI_MODE: "the probe did not confirm that the KRC takes corrections as after RSI_ON(#ABSOLUTE)",
+    ReasonCode.CYCLE_MISMATCH: "the robot's controller does not tick with the cell's cycle",
     ReasonCode.IMPOSSIBLE_STATE: "a Robot Server reported a state that the gate cannot have caused",
     ReasonCode.CAUSE_STANDS: "the cause of the hold persists",
     ReasonCode.NOT_AT_REST: "the robot has not come to rest yet",

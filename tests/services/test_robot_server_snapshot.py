@@ -121,7 +121,17 @@ def test_a_driver_and_its_peer_leave_out_nothing_either():
     krc = KrcSide()
     of_one_call = {"unmoved", "implausible", "fault", "detail"}
     fixed = {"_codec", "_counters", "_plausible", "_near", "_most", "_widest", "_zero"}
-    remembered = {"session", "_origin", "_lower", "_upper", "_sent", "_earlier", "_opened", "_outputs"}
+    remembered = {
+        "session",
+        "meter",
+        "_origin",
+        "_lower",
+        "_upper",
+        "_sent",
+        "_earlier",
+        "_opened",
+        "_outputs",
+    }
     assert set(vars(krc.driver)) == remembered | fixed | of_one_call
     fixed = {"_given_step", "_plausible", "_near", "_cycle_s", "_silence_s", "_silence_cycles", "_least_s"}
     assert set(vars(krc.driver.session)) == {"belief", "step", "last", "_time_s", "_run"} | fixed

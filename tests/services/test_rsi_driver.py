@@ -157,7 +157,7 @@ def test_the_ipoc_may_wrap_within_a_session():
     assert krc.counters["session_restarted"] == 0
 
 
-@pytest.mark.parametrize("step", [1, 4, 12])
+@pytest.mark.parametrize("step", [1, 12, 48])
 def test_the_step_of_the_ipoc_is_learned(step):
     krc = KrcSide(step=step).begin()
     assert krc.driver.session.step == step

@@ -132,7 +132,7 @@ class KrcSide:
             follows_dq=state.dq,
             follows_resets=state.resets,
             dq=tuple(increment.tolist()),
-            brake_cycles=brake_cycles(increment, MAX_DV),
+            brake_cycles=brake_cycles(increment, FR.max_acceleration * self.cell.cycle_s**2),
         )
 
     def run_up(self, cycles):

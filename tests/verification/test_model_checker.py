@@ -129,9 +129,8 @@ def names(memory):
 
 
 def test_what_tells_one_moment_of_the_wire_from_another_leaves_out_no_memory_of_the_driver():
-    assert names(DriverMemory) == {"session", "origin", "sent", "earlier", "opened"} | {
-        "outputs"
-    }  # none are sent
+    of_none = {"outputs", "meter"}  # none are sent, and no cycle is measured
+    assert names(DriverMemory) == {"session", "origin", "sent", "earlier", "opened"} | of_none
     assert names(SessionMemory) == {"belief", "step", "last", "time_s", "run"}
     assert names(PeerMemory) == {"address", "heard_s"}
 

@@ -96,8 +96,8 @@ class RobotServer:
 
     @property
     def detail(self) -> str:
-        """The fault of the session's mode, for people; empty if there is none."""
-        return self._mode.detail
+        """The fault of the session's cycle or mode, for people; empty if there is none."""
+        return (self._told is not None and self._told[0].cycle_fault) or self._mode.detail
 
     def cycle(
         self,
@@ -125,7 +125,7 @@ class RobotServer:
         self._cycle += 1
         self._watch(measured.q)
         self._probe(measured)
-        self._supervise(supervision, measured.q)
+        self._supervise(supervision, measured)
         if measured.missed_last:
             # the KRC still stands at the setpoint before: send the missed one again instead of a double step
             self._cycles_missed += 1
@@ -259,8 +259,8 @@ class RobotServer:
         if self._cycle > 0:
             self.counters["session_restarted"] += 1
             self._stop(ReasonCode.KRC_LOST)
-            if self._reason is ReasonCode.RSI_MODE:
-                self._reason = ReasonCode.KRC_LOST  # that was the mode of the session before
+            if self._reason in (ReasonCode.RSI_MODE, ReasonCode.CYCLE_MISMATCH):
+                self._reason = ReasonCode.KRC_LOST  # that was the mode or the cycle of the session before
         if self._phase is Phase.OFFLINE:
             self._motion = replace(self._motion, q_cmd=q_start.copy())
         else:
@@ -286,6 +286,8 @@ class RobotServer:
             self.counters["motion_stops"] += 1
 
     def _probe(self, measured: Measurement) -> None:
+        if measured.cycle_fault and self._mode.idle:
+            return  # a probe in another cycle would tell nothing
         known = self._mode.mode
         self._mode.cycle(measured.q, measured.ipoc, measured.missed_last)
         if self._mode.refused and known is Mode.UNKNOWN:
@@ -296,7 +298,13 @@ class RobotServer:
     def _rest(self) -> None:
         self._motion = SetpointMotion.at_rest(self._motion.q_cmd, self._motion.sequence)
 
-    def _supervise(self, supervision: Supervision | None, q: Array) -> None:
+    def _barred(self, measured: Measurement) -> ReasonCode | None:
+        """Why no reset lets the robot be driven now; None if one may."""
+        if measured.cycle_fault:
+            return ReasonCode.CYCLE_MISMATCH
+        return ReasonCode.RSI_MODE if self._mode.bars else None
+
+    def _supervise(self, supervision: Supervision | None, measured: Measurement) -> None:
         if supervision is None:
             self._cycles_without_gate += 1
             if self._cycles_without_gate > self._gate_timeout_cycles:
@@ -307,16 +315,21 @@ class RobotServer:
             self._stop(supervision.stop or ReasonCode.CELL_MISMATCH)
             return
         self._cycles_without_gate = 0
-        if self._phase is Phase.OFFLINE and (self._mode.known or self._mode.refused):
+        if measured.cycle_fault:
+            refused: ReasonCode | None = ReasonCode.CYCLE_MISMATCH
+        else:
+            refused = ReasonCode.RSI_MODE if self._mode.refused else None
+        known = self._mode.known and measured.cycle_known
+        if self._phase is Phase.OFFLINE and (known or refused is not None):
             self._epoch = supervision.epoch
             self._resets = supervision.resets  # these were given to an earlier process
             self._enter(Event.LINKED)
-        if self._mode.refused:
-            self._stop(ReasonCode.RSI_MODE)
-        if self._mode.bars:
+        if refused is not None:
+            self._stop(refused)
+        if self._barred(measured) is not None:
             self._resets = max(self._resets, supervision.resets)  # one given now shall not be obeyed some day
-        there = self._motion.rests and self._settling.is_near(q, self._held_at)
-        may_be_reset = self._phase is Phase.HELD and self._mode.known and there
+        there = self._motion.rests and self._settling.is_near(measured.q, self._held_at)
+        may_be_reset = self._phase is Phase.HELD and known and there
         if may_be_reset and supervision.resets > self._resets:
             self._motion, self._q_reset = replace(self._motion, q_cmd=self._held_at, sequence=0), None
             self.motion_stop = False
@@ -379,7 +392,7 @@ class RobotServer:
         self._phase = next_phase(self._phase, event)
 
     def _publishable(self, measured: Measurement, time_s: float) -> ServerState:
-        barred = self._phase is Phase.HELD and self._mode.bars  # that stands before all else
+        barred = self._barred(measured) if self._phase is Phase.HELD else None  # that stands before all else
         return ServerState(
             robot=self.robot,
             process=self.process,
@@ -394,7 +407,7 @@ class RobotServer:
             epoch=self._epoch,
             sequence=self._motion.sequence,
             phase=self._phase,
-            reason=ReasonCode.RSI_MODE if barred else self._reason,
+            reason=barred or self._reason,
             resets=self._resets,
             inputs=dict(measured.inputs),
             outputs=self.outputs,

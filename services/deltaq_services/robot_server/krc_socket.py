@@ -96,7 +96,8 @@ class KrcSocket:
         step = self._rsi.session.step
         ipoc = "" if step is None else f"IPOC grows by {step} a cycle"
         watch = "" if self.watch is None else self.watch.detail
-        return "; ".join(filter(None, (watch, self._rsi.detail, self.peer.stranger, ipoc)))
+        tick = "" if self._rsi.meter is None else self._rsi.meter.detail
+        return "; ".join(filter(None, (watch, self._rsi.detail, self.peer.stranger, ipoc, tick)))
 
     def read(self, now_s: float) -> Measurement | None:
         """Read the newest telegram among all that waits.

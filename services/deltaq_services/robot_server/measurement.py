@@ -19,6 +19,8 @@ class Measurement:
         missed_last: the KRC reports that the reply to its last telegram did not reach it in time.
         inputs: digital inputs by name.
         resumes: the session that begins has the correction that was sent last in it.
+        cycle_known: the robot's controller was seen to tick as the cell says.
+        cycle_fault: why it does not, for people; empty if nothing speaks against it.
     """
 
     ipoc: int
@@ -27,3 +29,5 @@ class Measurement:
     missed_last: bool = False
     inputs: Mapping[str, bool] = field(default_factory=dict)
     resumes: bool = False
+    cycle_known: bool = True
+    cycle_fault: str = ""

@@ -20,11 +20,20 @@ from deltaq_protocol.arrays import Array
 from deltaq_protocol.rsi import KrcTelegram, SensorCodec
 from deltaq_protocol.rsi.axes import DEG_PER_RAD, MM_PER_M
 from deltaq_protocol.rsi.layout import MAX_IPOC
+from deltaq_services.robot_server.cycle_meter import CycleMeter, MeterMemory
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.plausibility import Plausibility
 from deltaq_services.robot_server.pulses_cut_short import SESSIONS
 from deltaq_services.robot_server.reply_guard import ReplyFault, reply_fault
-from deltaq_services.robot_server.session import STILL, Answer, Belief, Session, SessionMemory, TelegramKind
+from deltaq_services.robot_server.session import (
+    IPOC_WRAP,
+    STILL,
+    Answer,
+    Belief,
+    Session,
+    SessionMemory,
+    TelegramKind,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +42,7 @@ class DriverMemory:
 
     Attributes:
         session: beliefs about the telegrams.
+        meter: of the KRC's cycle; None where nothing is measured.
         origin: (n,) programmed position of the session [rad or m].
         sent: (n,) correction that was sent last [rad or m].
         earlier: the same two of sessions before, oldest first.
@@ -41,6 +51,7 @@ class DriverMemory:
     """
 
     session: SessionMemory
+    meter: MeterMemory | None
     origin: Array | None
     sent: Array | None
     earlier: tuple[tuple[Array, Array], ...]
@@ -62,6 +73,7 @@ class RsiDriver:
         implausible: why the telegram read last cannot be true; empty if nothing is known against it.
         fault: why the guard refused the last setpoint; None if it did not.
         session: beliefs about the telegrams.
+        meter: of the KRC's cycle; None: it ticks as the cell says.
         detail: faults, for people; empty if there are none.
     """
 
@@ -80,6 +92,7 @@ class RsiDriver:
         self.session = Session(
             cell.cycle_s, cell.gate.krc_timeout_s, driver.ipoc_step, self._plausible, self._near
         )
+        self.meter: CycleMeter | None = CycleMeter(cell.cycle_s, cell.gate.krc_timeout_s, driver.ipoc_step)
         self._most = (description.max_velocity * cell.cycle_s).tolist()
         self._widest = _widest(description.units, driver)
         self._origin: Array | None = None
@@ -123,7 +136,7 @@ class RsiDriver:
         kind, answer, why = self.session.judge(telegram, time_s)
         if kind is TelegramKind.NEXT and last is not None:
             self._opened = False
-            return self._measured(telegram, last)
+            return self._measured(telegram, last, time_s)
         if kind is TelegramKind.GARBLED:
             self._implausible(telegram, why)
         if kind is TelegramKind.CONFIRMED:
@@ -173,11 +186,14 @@ class RsiDriver:
     def snapshot(self) -> DriverMemory:
         """Snapshot of all that answers depend on, for `restore`."""
         session, earlier = self.session.snapshot(), tuple(self._earlier)
-        return DriverMemory(session, self._origin, self._sent, earlier, self._opened, self._outputs)
+        meter = None if self.meter is None else self.meter.snapshot()
+        return DriverMemory(session, meter, self._origin, self._sent, earlier, self._opened, self._outputs)
 
     def restore(self, memory: DriverMemory) -> None:
         """Go on from where another driver of this robot was."""
         self.session.restore(memory.session)
+        if self.meter is not None and memory.meter is not None:
+            self.meter.restore(memory.meter)
         self._sent, self._opened, self._outputs = memory.sent, memory.opened, memory.outputs
         self._earlier = deque(memory.earlier, maxlen=SESSIONS)
         self._origin = None
@@ -192,11 +208,20 @@ class RsiDriver:
         if _equal(sent, self._zero):
             self.unmoved = self._codec.encode(telegram.ipoc, sent, self._outputs)
 
-    @staticmethod
-    def _measured(telegram: KrcTelegram, last: KrcTelegram) -> Measurement:
+    def _measured(self, telegram: KrcTelegram, last: KrcTelegram, time_s: float) -> Measurement:
         assert telegram.q is not None  # a session consists of telegrams with a position
+        assert self.session.step is not None  # and has a step
         late = 0 if telegram.delay is None or last.delay is None else telegram.delay - last.delay
-        return Measurement(telegram.ipoc, telegram.q, missed_last=late > 0, inputs=telegram.inputs)
+        if self.meter is not None:
+            self.meter.tick((telegram.ipoc - last.ipoc) % IPOC_WRAP // self.session.step, time_s)
+        return Measurement(
+            telegram.ipoc, telegram.q, None, late > 0, telegram.inputs, False, *self._cycle_found
+        )
+
+    @property
+    def _cycle_found(self) -> tuple[bool, str]:
+        """Whether the KRC's cycle is known to be the cell's, and why it is not."""
+        return (True, "") if self.meter is None else (self.meter.known, self.meter.fault)
 
     def _confirmed(self, telegram: KrcTelegram, time_s: float) -> Measurement | None:
         """Begin a session from the correction that the KRC has."""
@@ -214,12 +239,17 @@ class RsiDriver:
         self._sent = kept
         origin = telegram.q - kept if telegram.q_programmed is None else telegram.q_programmed
         self._begin_at(origin)
+        assert self.session.step is not None  # the session has the step of the telegrams that it began with
+        if self.meter is not None:
+            self.meter.begin(self.session.step, time_s)
         return Measurement(
             telegram.ipoc,
             telegram.q,
-            q_start=origin + kept,
-            resumes=kept is not self._zero,
-            inputs=telegram.inputs,
+            origin + kept,
+            False,
+            telegram.inputs,
+            kept is not self._zero,
+            *self._cycle_found,
         )
 
     def _begin_at(self, origin: Array) -> None:

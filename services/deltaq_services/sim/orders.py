@@ -129,6 +129,11 @@ class Orders:
             return ReasonCode.CAUSE_STANDS, (
                 f"the probe did not confirm that the KRC of {self._robot.name} runs RSI_ON(#ABSOLUTE)"
             )
+        if state.reason is ReasonCode.CYCLE_MISMATCH:
+            return ReasonCode.CAUSE_STANDS, (
+                f"the KRC of {self._robot.name} does not tick with the cell's cycle; its Robot Server's status tells "
+                "both figures"
+            )
         if self.standing_stop is not None:
             return ReasonCode.NOT_AT_REST, f"{self._robot.name} is only now being stopped"
         if state.phase is Phase.HELD:

@@ -180,6 +180,7 @@ def new_line(driver: DriverMemory, peer: PeerMemory, attacks: int) -> RsiLine:
 def new_program(description: CellDescription) -> Program:
     """Driver and peer of a Robot Server's process."""
     driver = RsiDriver(Packed(), description, ROBOT, Counter())
+    driver.meter = None  # the model's time is counted in the KRC's own cycles
     return driver, Peer(KRC_AT[0], description.gate.krc_timeout_s)
 
 

@@ -60,10 +60,10 @@ class ChainIsNotLookedAt(System):
 
 
 class _ResetsAtOnce(RobotServer):
-    def _supervise(self, supervision: Supervision | None, q: Array) -> None:
+    def _supervise(self, supervision: Supervision | None, measured: Measurement) -> None:
         motion = self._motion
         self._motion = replace(motion, step=motion.brake_cycles)
-        super()._supervise(supervision, q)
+        super()._supervise(supervision, measured)
         self._motion = replace(self._motion, step=motion.step)
 
 
@@ -115,9 +115,9 @@ class MissedReplyIsForgotten(System):
 
 
 class _NeverLosesTheGate(RobotServer):
-    def _supervise(self, supervision: Supervision | None, q: Array) -> None:
+    def _supervise(self, supervision: Supervision | None, measured: Measurement) -> None:
         self._cycles_without_gate = 0
-        super()._supervise(supervision, q)
+        super()._supervise(supervision, measured)
 
 
 class SilentGateIsIgnored(System):
