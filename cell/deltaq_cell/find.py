@@ -14,6 +14,7 @@ from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
 
+from deltaq_cell.packages import is_file, is_folder
 from deltaq_cell.problems import CellError, Problem
 
 CELLS_VARIABLE = "DELTAQ_CELLS"
@@ -26,7 +27,7 @@ def cell_folders() -> list[Path]:
     """Folders in which cells are looked up by name: those of `$DELTAQ_CELLS`, then the registered ones."""
     given = os.environ.get(CELLS_VARIABLE, "")
     folders = [Path(folder) for folder in given.split(os.pathsep) if folder]
-    return [folder for folder in (*folders, *_registered_folders(tuple(sys.path))) if folder.is_dir()]
+    return [folder for folder in (*folders, *_registered_folders(tuple(sys.path))) if is_folder(folder)]
 
 
 def cell_names() -> list[str]:
@@ -47,13 +48,13 @@ def find_cell(name_or_path: str | Path) -> Path:
     text = str(name_or_path)
     path = Path(name_or_path)
     is_path = path.suffix in SUFFIXES or os.sep in text
-    if is_path and path.is_file():
+    if is_path and is_file(path):
         return path
     if os.sep not in text:
         stem = path.stem if path.suffix in SUFFIXES else text
         for folder in cell_folders():
             for suffix in SUFFIXES:
-                if (found := folder / f"{stem}{suffix}").is_file():
+                if is_file(found := folder / f"{stem}{suffix}"):
                     return found
     raise CellError([_missing(text, path, is_path)])
 
@@ -74,7 +75,7 @@ def resolve_near(cell_file: str | Path, name: str | Path) -> Path:
         folders = [Path(cell_file).resolve().parent, *cell_folders()]
         candidates = [place / name for folder in folders for place in (folder, folder.parent / "krc")]
     for candidate in candidates:
-        if candidate.is_file():
+        if is_file(candidate):
             return candidate
         same = same_to_a_krc(candidate.parent, candidate.name)
         if len(same) > 1:
@@ -112,11 +113,11 @@ def _is_cell(file: Path) -> bool:
 
 
 def _missing(text: str, path: Path, is_path: bool) -> Problem:
-    if is_path and path.is_dir():
+    if is_path and is_folder(path):
         return Problem(text, 0, "", "is a folder; name the YAML file in it", value=text)
     if is_path:
         beside = (
-            [file.name for file in path.parent.iterdir() if _is_cell(file)] if path.parent.is_dir() else []
+            [file.name for file in path.parent.iterdir() if _is_cell(file)] if is_folder(path.parent) else []
         )
         near = difflib.get_close_matches(path.name, beside, n=1)
         allowed = f"a file, or one of the cells {', '.join(cell_names())}"

@@ -25,6 +25,9 @@ Corners: TypeAlias = tuple[tuple[float, float, float], ...]
 MOST_CORNERS = 32
 """coal's bound between searching all corners and walking from one to the next."""
 
+MOST_M = 1e6
+"""Greatest coordinate of a corner [m]."""
+
 _FLAT = 1e-6
 """Points that spread across a plane by less than this fraction of their spread within it are taken to lie in it."""
 
@@ -45,9 +48,14 @@ def hull_corners(points: Array) -> Corners:
     Raises:
         HullError: the points lie in a plane, or some are not finite.
     """
-    hull = _convex_hull(points)
+    try:
+        hull = _convex_hull(points)
+    except RuntimeError:  # coal takes no corner with more than 255 neighbours, such as a fine cone's tip
+        return _as_told(_outside(_around(points, _DIRECTIONS)))
     corners = _points_of(hull)
-    return _as_told(corners if len(corners) <= MOST_CORNERS else _around(corners, _normals_of(hull)))
+    return _as_told(
+        corners if len(corners) <= MOST_CORNERS else _outside(_around(corners, _normals_of(hull)))
+    )
 
 
 def hull_shape(corners: Corners) -> Any:
@@ -96,6 +104,12 @@ def _around(points: Array, normals: Array) -> Array:
         corners = cut
 
 
+def _outside(corners: Array) -> Array:
+    """Those corners that qhull takes for corners: of two that rounding tells apart it takes one."""
+    hull = _convex_hull(corners)
+    return corners if hull.num_points == len(corners) else _points_of(hull)
+
+
 def _corners(normals: Array, reach: Array) -> Array:
     """(m, 3) corners of the polytope of all x with `normals @ x <= reach`."""
     triples = np.array(list(combinations(range(len(normals)), 3)))
@@ -123,7 +137,7 @@ _DIRECTIONS = _directions()
 
 
 def _convex_hull(points: Array) -> Any:
-    if len(points) < 4 or not np.all(np.isfinite(points)):
+    if len(points) < 4 or not np.all(np.abs(points) <= MOST_M):
         raise HullError(f"no convex hull of {len(points)} points: it takes four, and finite numbers")
     greatest, _, least = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if least <= _FLAT * greatest:  # checked first, since qhull crashes on it

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from deltaq_cell.description import CellDescription
 from deltaq_cell.find import find_cell, resolve_near
 from deltaq_cell.models import SHIPPED
+from deltaq_cell.packages import is_file
 from deltaq_cell.problems import CellError, Problem
 from deltaq_cell.validation import problem_of
 from deltaq_cell.yaml_source import YamlNode, merge, shown
@@ -91,7 +92,7 @@ def _read_with_bases(path: Path, seen: tuple[Path, ...] = ()) -> tuple[str, Yaml
 def _find_base(path: Path, name: str) -> Path:
     """The file that `path` extends: beside it, or a cell that is found by name."""
     beside = path.parent / name
-    if beside.is_file():
+    if is_file(beside):
         return beside
     try:
         return find_cell(name)
@@ -109,7 +110,7 @@ def _resolve_models(tree: YamlNode, path: Path) -> None:
         if model is None or not isinstance(model.value, str) or model.value in SHIPPED:
             continue
         beside = path.resolve().parent / model.value
-        if beside.is_file() and isinstance(robot.value, dict):
+        if is_file(beside) and isinstance(robot.value, dict):
             robot.value["model"] = YamlNode(str(beside), model.file, model.line)
 
 

@@ -296,7 +296,8 @@ class ProximityEngine:
     def _move(self, robot: str, q: Array, half: Array, offsets: Array, deviation: Array) -> _Placed:
         bodies = self._bodies[robot]
         self._q[bodies.slice_q] = q
-        J = pin.computeJointJacobians(self.model, self._data, self._q)[:, bodies.slice_q]
+        # of a cell with one joint pinocchio gives a vector
+        J = np.reshape(pin.computeJointJacobians(self.model, self._data, self._q), (6, -1))[:, bodies.slice_q]
         corners, axes, centres = bodies.placed(self._data.oMi)
         arms = bodies.lever_arms(J, corners) if half.any() else np.zeros(bodies.moved_by.shape)
         places = self._places[robot]

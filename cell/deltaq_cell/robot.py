@@ -14,6 +14,7 @@ from deltaq_cell.description import RobotDescription
 from deltaq_cell.hull import Corners
 from deltaq_cell.models import RobotModelError, collision_names, load_urdf, urdf_from_text
 from deltaq_cell.never_checked import Pair, Why, never_checked
+from deltaq_cell.plausible import check_rotations, check_sizes, reach
 from deltaq_cell.robot_bodies import collision_geometry, hulls_of
 from deltaq_cell.structure import placement
 from deltaq_cell.urdf_parsing import MissingMeshError, parse_geometry, parse_model
@@ -80,6 +81,9 @@ class RobotModel:
             text = f"{source.source}: no link has a collision body, so that nothing could be kept clear of the robot"
             raise RobotModelError(text, ("model",))
         self.hulls: dict[str, Corners] = hulls_of(self.geometry, name)
+        bodies = list(self.geometry.geometryObjects)
+        check_rotations(self.model, bodies, (self.home, self.lower, self.upper), source.source)
+        check_sizes(bodies, reach(self.model, self.lower, self.upper, self._T_world_base), source.source)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -148,7 +152,7 @@ class RobotModel:
         jacobian: Array = pin.computeFrameJacobian(
             self.model, self._data, self._checked(q), self.frame_of(point), pin.LOCAL_WORLD_ALIGNED
         )
-        return jacobian
+        return np.reshape(jacobian, (6, -1))  # of a robot with one joint pinocchio gives a vector
 
     def frame_of(self, point: PointName) -> int:
         """Index in `model.frames` of a frame that the robot carries: `tool`, `camera` or a hand.
@@ -160,7 +164,7 @@ class RobotModel:
 
     def joint_axes(self, q: ArrayLike) -> Array:
         """(n, 3) unit vectors of the joints' axes at `q` (n,), in world coordinates."""
-        jacobian = pin.computeJointJacobians(self.model, self._data, self._checked(q))
+        jacobian = np.reshape(pin.computeJointJacobians(self.model, self._data, self._checked(q)), (6, -1))
         axes: Array = np.where(self.revolute[:, None], jacobian[3:].T, jacobian[:3].T)
         return axes
 

@@ -36,7 +36,11 @@ def collision_geometry(
     """
     names = collision_names(urdf)
     bodies = []
-    for body in parse_geometry(urdf, pin.GeometryType.COLLISION, T_world_base, locked, hulls).geometryObjects:
+    parsed = parse_geometry(urdf, pin.GeometryType.COLLISION, T_world_base, locked, hulls)
+    if parsed.ngeoms != (given := sum(map(len, names.values()))):
+        text = f"{urdf.source}: only {parsed.ngeoms} of its {given} collision bodies are of a kind that can be read"
+        raise RobotModelError(text, ("model",))
+    for body in parsed.geometryObjects:
         link, index = body.name.rsplit("_", 1)  # pinocchio numbers the bodies of a link
         name = names[link][int(index)]
         try:

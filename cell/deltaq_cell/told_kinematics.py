@@ -26,7 +26,8 @@ def joint_axis(robot: RobotModel, index: int) -> tuple[float, float, float]:
     """The axis of a joint in its own frame: a unit vector, along which or about which it moves."""
     model = robot.model
     # at any configuration: in its own frame a joint's axis stands still
-    motion = pin.computeJointJacobian(model, model.createData(), pin.neutral(model), index + 1)[:, index]
+    J = pin.computeJointJacobian(model, model.createData(), pin.neutral(model), index + 1)
+    motion = np.reshape(J, (6, -1))[:, index]  # of a robot with one joint pinocchio gives a vector
     x, y, z = np.asarray(motion[3:] if robot.revolute[index] else motion[:3]).round(15).tolist()
     return x, y, z
 

@@ -50,7 +50,9 @@ class BatchKinematics:
         self.axes = np.zeros((self.n, 3))
         self.moves = np.zeros((self.n, self.n), dtype=np.bool_)
         for joint in range(self.n):
-            column = pin.getJointJacobian(model, data, joint + 1, pin.LOCAL)[:, joint]
+            column = np.reshape(pin.getJointJacobian(model, data, joint + 1, pin.LOCAL), (6, self.n))[
+                :, joint
+            ]
             self.axes[joint] = column[3:] if self.revolute[joint] else column[:3]
             self.moves[joint, [other - 1 for other in model.supports[joint + 1] if other > 0]] = True
         self._places = [model.jointPlacements[joint + 1] for joint in range(self.n)]

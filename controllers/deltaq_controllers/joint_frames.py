@@ -40,7 +40,10 @@ def joint_tree(model: Any) -> JointTree:
     """The joints of a pinocchio model, each revolute or prismatic."""
     data, n = model.createData(), model.nv
     pin.computeJointJacobians(model, data, pin.neutral(model))
-    own = [pin.getJointJacobian(model, data, joint + 1, pin.LOCAL)[:, joint] for joint in range(n)]
+    own = [
+        np.reshape(pin.getJointJacobian(model, data, joint + 1, pin.LOCAL), (6, n))[:, joint]
+        for joint in range(n)
+    ]
     revolute = np.array([bool(column[3:].any()) for column in own])
     places = [model.jointPlacements[joint + 1] for joint in range(n)]
     return JointTree(

@@ -43,7 +43,9 @@ class Kinematics:
         self.last = joint - 1
         placed = self.data.oMf[self._frame]
         self._rotation, self._position = placed.rotation, placed.translation
-        self.columns: Array = self.data.J
+        self.columns: Array = np.reshape(
+            self.data.J, (6, -1)
+        )  # of a robot with one joint pinocchio has a vector
         moves = joints_that_move(robot, np.array([joint]))[0]
         self._others = None if moves.all() else ~moves
         self.twists: Array = self.columns if self._others is None else np.zeros_like(self.columns)

@@ -103,3 +103,10 @@ def test_a_file_that_is_not_there_is_said_so(tmp_path: Path) -> None:
 def test_a_joint_that_is_no_axis_of_rsi_is_refused(joints: tuple[str, ...], units: tuple[str, ...]) -> None:
     with pytest.raises(EthernetConfigError, match=r"allowed are|one unit for each"):
         AxisMap.of(joints, units, "krc4")  # type: ignore[arg-type]  # the wrong unit is the point
+
+
+@pytest.mark.parametrize("encoding", ["ISO-8859-1", "UTF-16"])
+def test_a_file_is_read_in_the_encoding_that_it_declares(tmp_path: Path, encoding: str) -> None:
+    file = tmp_path / "cell_ethernet.xml"
+    file.write_bytes(f'<?xml version="1.0" encoding="{encoding}"?><!-- für -->{VALID}'.encode(encoding))
+    assert load_ethernet_xml(file) == parse_ethernet_xml(VALID)

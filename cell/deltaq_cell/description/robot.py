@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import FiniteFloat, model_validator
+from pydantic import Field, FiniteFloat, model_validator
 
 from deltaq_cell.description.base import DescriptionModel, GuardedEndpointText, JointName, Pose
 from deltaq_cell.description.bodies import Attachment, Camera, Hand, Tool
@@ -24,7 +24,7 @@ class RobotDescription(DescriptionModel):
     server: GuardedEndpointText
     """Endpoint at which its Robot Server listens for SIM and HLI."""
     driver: Driver
-    joints: dict[JointName, JointDescription]
+    joints: Annotated[dict[JointName, JointDescription], Field(min_length=1)]
     """In the joint order of the model."""
     locked_joints: dict[JointName, FiniteFloat] = {}
     """Joints that this cell holds still, for example a gripper's, and where: in rad or m, as in the URDF."""

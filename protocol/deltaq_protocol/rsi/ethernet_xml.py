@@ -14,6 +14,7 @@ from pathlib import Path
 
 from deltaq_protocol.rsi.axes import ARM_AXES, EXTERNAL_AXES, POSE_AXES
 from deltaq_protocol.rsi.errors import EthernetConfigError
+from deltaq_protocol.xml_text import xml_text
 
 MAX_CHANNEL = 64
 
@@ -112,8 +113,8 @@ def load_ethernet_xml(path: Path | str) -> EthernetConfig:
     """
     path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
+        text = xml_text(path.read_bytes())
+    except (OSError, ValueError) as error:
         raise EthernetConfigError(f"{path}: cannot be read: {error}") from error
     return parse_ethernet_xml(text, path.name)
 
