@@ -10,6 +10,7 @@ from deltaq_protocol.rsi import AxisMap, EthernetConfig, EthernetConfigError, lo
 from deltaq_protocol.rsi.context import RsiContext, parse_context
 from deltaq_protocol.rsi.judge import Finding, Station, judge
 from deltaq_protocol.rsi.judge_program import judge_context, judge_program
+from deltaq_protocol.xml_text import xml_text
 
 MAX_BYTES = 1 << 20
 """A context of RSI 4 carries RSI Visual's catalogue of objects, some 120 KB."""
@@ -108,7 +109,15 @@ def _texts(path: Path, *suffixes: str) -> list[tuple[str, str]]:
     for file in sorted(path.parent.iterdir()):
         try:
             if file.name.lower().endswith(suffixes) and file.stat().st_size <= MAX_BYTES:
-                texts.append((file.name, file.read_text(encoding="utf-8-sig", errors="replace")))
+                texts.append((file.name, _text(file)))
         except OSError:
             continue  # a folder, or an unreadable file
     return texts
+
+
+def _text(file: Path) -> str:
+    data = file.read_bytes()
+    try:
+        return xml_text(data)
+    except ValueError:  # a program, with umlauts of any code page
+        return data.decode("utf-8", errors="replace")

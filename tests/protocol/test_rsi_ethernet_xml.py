@@ -109,4 +109,4 @@ def test_a_joint_that_is_no_axis_of_rsi_is_refused(joints: tuple[str, ...], unit
 def test_a_file_is_read_in_the_encoding_that_it_declares(tmp_path: Path, encoding: str) -> None:
     file = tmp_path / "cell_ethernet.xml"
     file.write_bytes(f'<?xml version="1.0" encoding="{encoding}"?><!-- für -->{VALID}'.encode(encoding))
-    assert load_ethernet_xml(file) == parse_ethernet_xml(VALID)
+    assert load_ethernet_xml(file) == parse_ethernet_xml(VALID, file.name)
