@@ -111,7 +111,7 @@ site-version: $(INSTALLED) ## commit the site to the branch gh-pages as a versio
 	  "$$($(BIN)/deltaq --version | cut -d' ' -f2)" latest
 
 figures: $(INSTALLED) ## run the paper's experiments and write camera-figures.md and attack-figures.md anew; takes hours
-	$(BIN)/python -m deltaq_experiments.claims
+	$(BIN)/python -m studies.claims
 
 wheels: $(INSTALLED) ## the wheels that the image installs, so that its build needs no Python package index
 	rm -rf build/wheels

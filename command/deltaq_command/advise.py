@@ -54,12 +54,6 @@ def advise(
     execute: Annotated[
         int, typer.Option(min=0, help="Drive to the option of this rank, through the gate.")
     ] = 0,
-    bench: Annotated[
-        bool,
-        typer.Option(
-            "--bench", help="Instead, time every method on twelve seeded tasks of the dual-arm cell."
-        ),
-    ] = False,
     json: JsonOption = False,
 ) -> None:
     """Rank configurations that hold the hands at their present or at given poses; Ctrl-C ends the search early."""
@@ -67,9 +61,6 @@ def advise(
     from deltaq_command.console import print_json
     from deltaq_controllers.advisor.problem import NotRedundantError
 
-    if bench:
-        _bench(json)
-        return
     if offline and execute:
         raise typer.BadParameter("--execute needs a running cell; leave out --offline")
     request = AdviceRequest(
@@ -97,56 +88,6 @@ def advise(
         _show(found)
     if not found.options or (found.executed is not None and not found.executed.reached):
         raise typer.Exit(BAD)
-
-
-def _bench(json: bool) -> None:
-    from deltaq_command.console import print_json, print_table
-    from deltaq_command.progress import progress_bar
-    from deltaq_experiments.advisor_bench import run
-
-    with progress_bar("every method on every task") as move:
-        table = run(on_step=move)
-    if json:
-        print_json(table.model_dump(mode="json"))
-        return
-    columns = (
-        "method",
-        "s",
-        "worst s",
-        "cpu s",
-        "above best %",
-        "worst %",
-        "within 1 %",
-        "least options",
-        "trials",
-    )
-    print_table(
-        f"methods on {table.tasks} seeded tasks",
-        columns,
-        (
-            (
-                row.method,
-                f"{row.median_s:.2f}",
-                f"{row.worst_s:.2f}",
-                f"{row.median_cpu_s:.2f}",
-                "-" if row.median_gap is None else f"{100 * row.median_gap:.2f}",
-                "-" if row.worst_gap is None else f"{100 * row.worst_gap:.2f}",
-                row.good,
-                row.least_options,
-                row.trials,
-            )
-            for row in table.rows
-        ),
-    )
-    for answer in table.answers:
-        typer.echo(
-            f"{answer.robot}: {answer.options:.1f} options, paths to {answer.ways:.1f}, {answer.barred:.1f} barred, "
-            f"in {answer.median_cpu_s:.2f} s of the processor, at worst {answer.worst_cpu_s:.2f} s"
-        )
-    typer.echo(
-        f"closed form of the Titan II, all branches: {table.inverse_poses_per_s / 1e6:.2f} million poses/s, "
-        f"one by one {table.inverse_one_by_one_per_s / 1e3:.1f} thousand"
-    )
 
 
 class _Watched:

@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+import make_dawm_urdf
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.check import check_cell
 from deltaq_cell.find import find_cell
@@ -17,7 +18,6 @@ from deltaq_cell.load import load_cell, parse_cell
 from deltaq_cell.models import RobotModelError
 from deltaq_cell.problems import CellError
 from deltaq_cell.robot import RobotModel
-from deltaq_cell.robots.dawm import make_urdf
 
 CELL = CellModel.load("dawm")
 DAWM = CELL.robots["dawm"]
@@ -25,8 +25,8 @@ SIDES = {"left": range(1, 9), "right": range(9, 17)}
 
 
 def test_the_model_is_what_its_maker_writes_and_says_that_its_figures_are_stand_ins() -> None:
-    assert make_urdf.FILE.read_text(encoding="utf-8") == make_urdf.text()
-    assert "ALL LENGTHS, LIMITS, SPEEDS, SHAPES AND MASSES ARE STAND-INS" in make_urdf.text()
+    assert make_dawm_urdf.FILE.read_text(encoding="utf-8") == make_dawm_urdf.text()
+    assert "ALL LENGTHS, LIMITS, SPEEDS, SHAPES AND MASSES ARE STAND-INS" in make_dawm_urdf.text()
     assert "stand-ins" in CELL.yaml
 
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from data_sheet import ARM, BOXES, GANTRY, MASSES, SECTIONS, describe
 
+import make_kr16_meshes
 from deltaq_cell.description import Pose
 from deltaq_cell.models import ROBOTS, load_urdf
 from deltaq_cell.robot import RobotModel
-from deltaq_cell.robots.kr16 import make_meshes
 
 FLANGE = np.array([[0, 0, 1, 0.158], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1]])  # Ry(90), then z out
 HANGING = np.array([[0, -1, 0, 0.177], [-1, 0, 0, 2.297], [0, 0, -1, 3.107], [0, 0, 0, 1]])
@@ -171,7 +171,7 @@ def test_nothing_is_drawn_outside_what_is_checked(floor: RobotModel) -> None:
 def test_the_meshes_are_what_their_script_makes() -> None:
     folder = Path(ROBOTS, "kr16", "meshes")
     committed = {str(p.relative_to(folder)): p.read_text(encoding="ascii") for p in folder.rglob("*.obj")}
-    assert committed == make_meshes.meshes()
+    assert committed == make_kr16_meshes.meshes()
 
 
 def test_the_base_pose_moves_the_whole_robot(floor: RobotModel) -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_cell.reach import apart_m
-from deltaq_experiments.scale import plant
+from studies.scale import plant
 
 SHARES = st.lists(st.floats(0.0, 1.0), min_size=17, max_size=17).map(np.array)
 

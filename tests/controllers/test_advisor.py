@@ -23,8 +23,8 @@ from deltaq_controllers.advisor.space import HandsKept, HandsMoved
 from deltaq_controllers.advisor.trees import Tree
 from deltaq_controllers.criteria.normalised import CriterionError
 from deltaq_controllers.inverse.tracking import ConstraintTracker
-from deltaq_experiments.advised_starts import CELLS, starts
 from deltaq_protocol.arrays import Array
+from studies.advised_starts import CELLS, starts
 
 CELL = CellModel.load("dawm")
 DAWM = CELL.robots["dawm"]

@@ -11,8 +11,8 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.advisor.advisor import Option, Progress, advise
 from deltaq_controllers.advisor.problem import AdvisorProblem
 from deltaq_controllers.inverse.tracking import ConstraintTracker
-from deltaq_experiments.advised_starts import CELLS, starts
 from deltaq_protocol.arrays import Array
+from studies.advised_starts import CELLS, starts
 
 COUNT = 2
 """So few options that those to which the hands leave would fill them."""

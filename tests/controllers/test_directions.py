@@ -20,8 +20,8 @@ from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.limitation import Limit
 from deltaq_controllers.modes.motion import ModeName
 from deltaq_controllers.modes.teleoperator import Teleoperator
-from deltaq_experiments.directions import DirectionGone, commands, drive, judged
 from deltaq_protocol.messages import Outcome
+from studies.directions import DirectionGone, commands, drive, judged
 
 JOINT, DECOUPLED, SELF_MOTION, _, COUPLED = ModeName
 DURATION_S = 6.0
@@ -217,7 +217,7 @@ def test_a_drive_that_keeps_clear_ends_where_bodies_come_near_and_says_so() -> N
 def test_one_command_prints_directions_and_the_cost_of_a_step() -> None:
     done = subprocess.run(
         [
-            *(sys.executable, "-m", "deltaq_experiments.directions", "--cell", "lab", "--robot", "fr"),
+            *(sys.executable, "-m", "studies.directions", "--cell", "lab", "--robot", "fr"),
             *("--mode", "decoupled", "--duration-s", "0.3", "--json"),
         ],
         capture_output=True,

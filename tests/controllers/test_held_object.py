@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from driving import CYCLE_S, PlainDrive, model
+from held_object_drive import LOST_SHARE, drive
 from test_operator_input import Terminal
 
 from deltaq_cell.robot import RobotModel
@@ -18,7 +19,6 @@ from deltaq_controllers.modes.motion import Frame, Grip, ModeName, OperatorComma
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.script import Script
 from deltaq_controllers.teleoperation import DriveLog
-from deltaq_experiments.held_object import LOST_SHARE, drive
 from deltaq_protocol.arrays import Array
 
 OBJECT, FREE = Grip.OBJECT, Grip.FREE

@@ -22,7 +22,6 @@ from deltaq_experiments.peg_and_valve import (
     robot_for_the_task,
     run,
 )
-from deltaq_experiments.peg_and_valve_page import PAGE, main, page
 from deltaq_experiments.peg_and_valve_person import (
     ACTION_S,
     NOISE,
@@ -33,6 +32,7 @@ from deltaq_experiments.peg_and_valve_person import (
     Slip,
 )
 from deltaq_experiments.peg_and_valve_summary import CONCLUSIONS, by_mode, distributions
+from studies.peg_and_valve_page import PAGE, main, page
 
 CYCLE_S = 0.012
 STICK = dict.fromkeys(HAND_AXES, 0.1)

@@ -9,9 +9,9 @@ from pathlib import Path
 import published_arms
 import pytest
 
-from deltaq_experiments import advised_drive
-from deltaq_experiments.advised_starts import AdvisedStarts, main, run
 from deltaq_launch.program import run_program
+from studies import advised_drive
+from studies.advised_starts import AdvisedStarts, main, run
 
 pytestmark = pytest.mark.long
 
@@ -41,7 +41,7 @@ def test_a_robot_of_ones_own_is_asked_about_in_its_cell(
         (["--cell", cell, "--robot", "ur"], "'ur' is not redundant"),
     ):
         with pytest.raises(SystemExit):
-            run_program(partial(main, wrong), "deltaq_experiments.advised_starts")
+            run_program(partial(main, wrong), "studies.advised_starts")
         assert said in capsys.readouterr().err
 
 

@@ -16,15 +16,8 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.camera.visibility import Visibility
 from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.leader.attacking import AttackingLeader
-from deltaq_experiments import approach, collision, step_bench, tracking, zoom
+from deltaq_experiments import approach, collision, tracking, zoom
 from deltaq_experiments.attack_starts import attack_start
-from deltaq_experiments.claims.__main__ import main as write_page
-from deltaq_experiments.claims.attacks import ATTACKS, CELLS
-from deltaq_experiments.claims.claim import Claim, ClaimOutcome
-from deltaq_experiments.claims.page import page
-from deltaq_experiments.claims.quantities import CLEARANCE, SLOWEST
-from deltaq_experiments.claims.sheets import ATTACK, CAMERA, Sheet
-from deltaq_experiments.claims.table import CLAIMS
 from deltaq_experiments.figures import draw
 from deltaq_experiments.options import Options
 from deltaq_experiments.panels import Curve, FigurePanel, Marks
@@ -35,6 +28,13 @@ from deltaq_experiments.trace import Trace, reached_speed, time_to_stay_below
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
 from deltaq_verification.oracle import ClearanceOracle
+from studies.claims.__main__ import main as write_page
+from studies.claims.attacks import ATTACKS, CELLS
+from studies.claims.claim import Claim, ClaimOutcome
+from studies.claims.page import page
+from studies.claims.quantities import CLEARANCE, SLOWEST
+from studies.claims.sheets import ATTACK, CAMERA, Sheet
+from studies.claims.table import CLAIMS
 
 PNG = b"\x89PNG\r\n"
 
@@ -339,7 +339,7 @@ def test_a_series_that_was_interrupted_goes_on_where_it_was(
             "limits": {},
         }
 
-    monkeypatch.setattr("deltaq_experiments.claims.__main__.run", made)
+    monkeypatch.setattr("studies.claims.__main__.run", made)
     arguments = ["--root", str(tmp_path), "--reports", str(tmp_path / "reports"), "--seeds"]
     write_page([*arguments, "2"], [sheet_of(claim)])
     write_page([*arguments, "3"], [sheet_of(claim)])
@@ -423,12 +423,3 @@ def test_the_example_of_ones_own_controller_follows_and_is_short() -> None:
     assert found
     assert float(found[1]) < 1.5
     assert "scaled 0, held 0" in run.stdout
-
-
-@pytest.mark.nightly
-def test_the_cost_of_a_step_is_told_as_a_distribution() -> None:
-    quiet, once = step_bench.run("qp", 0.25, attacked=False, duration_s=0.5, passes=3)
-    assert list(quiet) == list(once) == ["p50_us", "p90_us", "p99_us", "p99.9_us", "p100_us"]
-    assert list(quiet.values()) == sorted(quiet.values())
-    assert quiet["p50_us"] > 10.0
-    assert all(quiet[percentile] <= once[percentile] for percentile in once)

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 from far_bounds import BOUNDS, FarBound, module_and_options
 
-from deltaq_experiments import two_sites
-from deltaq_experiments.far_controller import FarWire
-from deltaq_experiments.far_virtual import follow_in_virtual_time
+from deltaq_proofs.two_sites import __main__ as two_sites
+from deltaq_proofs.two_sites.far_controller import FarWire
+from deltaq_proofs.two_sites.far_virtual import follow_in_virtual_time
 from deltaq_protocol.messages import Increment, StopRequest
 from deltaq_verification.virtual_cell.cell import VirtualCell
 

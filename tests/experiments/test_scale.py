@@ -8,8 +8,8 @@ import pytest
 import yaml
 
 from deltaq_cell.check import check_cell
-from deltaq_experiments.scale import NEAREST_M, ScaleRow, main, measure, plant
 from deltaq_launch.program import run_program
+from studies.scale import NEAREST_M, ScaleRow, main, measure, plant
 
 
 def written(folder: Path, robots: int, bodies: int) -> Path:
@@ -59,7 +59,7 @@ def test_what_cannot_be_measured_or_written_is_said(
     with pytest.raises(SystemExit) as ended:
         run_program(
             lambda: main(["--robots", "1", "--bodies", "5", "--cycles", "2", *wrong]),
-            "deltaq_experiments.scale",
+            "studies.scale",
         )
     assert ended.value.code == 2
     assert told in capsys.readouterr().err

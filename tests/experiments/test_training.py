@@ -15,10 +15,11 @@ from gymnasium.vector import SyncVectorEnv
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_experiments.scene import camera_controller, scene_of
-from deltaq_experiments.training import ENVIRONMENT, speed
+from deltaq_experiments.training import ENVIRONMENT
 from deltaq_experiments.training.environment import CameraEnvironment
 from deltaq_experiments.training.task import CameraTask, ViewErrors
 from deltaq_protocol.errors import DeltaqError
+from studies import training_speed as speed
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "how-to" / "train-a-policy.md"

@@ -14,7 +14,7 @@ from deltaq_launch.exit_status import BAD, DONE, INTERRUPTED, USAGE
 ROOT = Path(__file__).parents[2]
 PROGRAMS = sorted(
     file
-    for folder in ("experiments", "verification")
+    for folder in ("experiments", "tests/proofs")
     for file in (ROOT / folder).rglob("*.py")
     if re.search(r"ArgumentParser\((.|\n)*if __name__ ==", file.read_text(encoding="utf-8"))
 )
@@ -45,18 +45,13 @@ def test_each_program_that_a_user_starts_ends_in_this_way(file: Path) -> None:
 @pytest.mark.parametrize(
     ("command", "told"),
     [
-        (["deltaq_verification.conservatism", "--cell", "nosuch"], "nosuch: no cell of that name"),
-        (["deltaq_verification.storm", "--cell", "nosuch"], "nosuch: no cell of that name"),
-        (["deltaq_verification.storm", "--robot", "nosuch"], "no robot 'nosuch' in cell lab; it has fr, gr"),
-        (["deltaq_verification.floods", "--robot", "nosuch"], "no robot 'nosuch' in cell lab; it has fr, gr"),
-        (["deltaq_verification.floods", "--stops", "0"], "--stops 0: at least 1"),
-        (["deltaq_experiments.held_object", "--robot", "nosuch"], "no robot 'nosuch'; it has dawm"),
-        (["deltaq_experiments.directions", "--mode", "nosuch"], "invalid choice: 'nosuch'"),
-        (["deltaq_experiments.claims", "--only", "nosuch"], "--only 'nosuch': no claim has this"),
-        (
-            ["deltaq_experiments.console_figures", "--chromium", "/nosuch"],
-            "--chromium /nosuch: no program there",
-        ),
+        (["deltaq_proofs.conservatism", "--cell", "nosuch"], "nosuch: no cell of that name"),
+        (["deltaq_proofs.storm", "--cell", "nosuch"], "nosuch: no cell of that name"),
+        (["deltaq_proofs.storm", "--robot", "nosuch"], "no robot 'nosuch' in cell lab; it has fr, gr"),
+        (["deltaq_proofs.floods", "--robot", "nosuch"], "no robot 'nosuch' in cell lab; it has fr, gr"),
+        (["deltaq_proofs.floods", "--stops", "0"], "--stops 0: at least 1"),
+        (["studies.directions", "--mode", "nosuch"], "invalid choice: 'nosuch'"),
+        (["studies.claims", "--only", "nosuch"], "--only 'nosuch': no claim has this"),
     ],
     ids=lambda words: " ".join(words) if isinstance(words, list) else "",
 )
@@ -71,7 +66,7 @@ def test_a_mistake_is_told_in_words(command: list[str], told: str) -> None:
 @pytest.mark.parametrize(
     ("command", "status"),
     [
-        (["-m", "deltaq_verification.model_checker", "--cycles", "1", "--json"], DONE),
+        (["-m", "deltaq_proofs.model_checker", "--cycles", "1", "--json"], DONE),
         (["-c", "from deltaq_command import main; main()", "--version"], BAD),  # click's choice
     ],
     ids=["program", "command"],

@@ -22,8 +22,8 @@ from deltaq_launch.compose import ADDRESS, KEY_MAKER, compose_document
 from deltaq_launch.container import USER
 from deltaq_launch.resources import RESOURCES
 from deltaq_launch.services import cell_services, console_service
-from deltaq_verification.impairment.packets import within
-from deltaq_verification.two_sites import ip
+from deltaq_proofs.two_sites.packets import within
+from deltaq_proofs.two_sites.sites import ip
 
 pytestmark = [
     pytest.mark.live,

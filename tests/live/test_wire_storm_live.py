@@ -3,9 +3,9 @@
 import pytest
 
 from deltaq_launch.private_cell import write_private_cell
+from deltaq_proofs.storm.run import run_storm
+from deltaq_proofs.storm.witness import UNHEARD
 from deltaq_verification.faults.rsi_cell import load_rsi_cell
-from deltaq_verification.storm.run import run_storm
-from deltaq_verification.storm.witness import UNHEARD
 
 pytestmark = pytest.mark.live
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from leasing_client import LeasingClient
 
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.in_flight import Ahead, InFlight
 from deltaq_protocol.messages import Message, RobotState, Verdict
-from deltaq_verification.virtual_cell.leasing_client import LeasingClient
 
 
 class AnsweringClient(LeasingClient):

@@ -7,9 +7,9 @@ import shutil
 import socket
 import subprocess
 
+from deltaq_proofs.two_sites.packets import PacketLink
+from deltaq_proofs.two_sites.sites import sites
 from deltaq_protocol.errors import DeltaqError
-from deltaq_verification.impairment.packets import PacketLink
-from deltaq_verification.two_sites import sites
 
 
 @functools.cache

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from answering_client import AnsweringClient
+from delayed_wire import DelayedWire
 
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_protocol.arrays import Array
@@ -20,7 +21,6 @@ from deltaq_protocol.in_flight import Ahead
 from deltaq_protocol.messages import Outcome, Phase, Verdict
 from deltaq_verification.virtual_cell.cell import VirtualCell
 from deltaq_verification.virtual_cell.clients import Connection
-from deltaq_verification.virtual_cell.delayed_wire import DelayedWire
 from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
 from deltaq_verification.virtual_cell.parts import Link, Process
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-from deltaq_verification.model_checker.explore import explore
-from deltaq_verification.model_checker.one_joint import ROBOT
-from deltaq_verification.model_checker.system import System
+from deltaq_proofs.model_checker.explore import explore
+from deltaq_proofs.model_checker.one_joint import ROBOT
+from deltaq_proofs.model_checker.system import System
 
 
 @pytest.mark.long

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from deltaq_proofs.conservatism import Auditor, ConservatismFigures, run
 from deltaq_protocol.messages import Outcome, Reason
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_verification.conservatism import Auditor, ConservatismFigures, run
 from deltaq_verification.virtual_cell.cell import VirtualCell
 
 

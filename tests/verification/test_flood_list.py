@@ -10,11 +10,11 @@ from guarded_peer import guarded_peer
 from json_client import json_client
 from small_cell import small_cell, told, tool_pose
 
+from deltaq_proofs.floods.__main__ import _line
+from deltaq_proofs.floods.attacks import ATTACKS
+from deltaq_proofs.floods.line_attacks import _client_hello
+from deltaq_proofs.floods.measure import FloodFigures, FloodRow
 from deltaq_services.hli.shell import Hli
-from deltaq_verification.floods.__main__ import _line
-from deltaq_verification.floods.attacks import ATTACKS
-from deltaq_verification.floods.line_attacks import _client_hello
-from deltaq_verification.floods.measure import FloodFigures, FloodRow
 
 
 def test_the_list_has_every_kind_of_flood() -> None:

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from functools import partial
 
 import pytest
+from delayed_wire import DelayedWire
+from jittery_client import JitteryClient
 
 from deltaq_protocol.guarded import Admission, Request
 from deltaq_protocol.messages import Outcome
 from deltaq_services.sim.inbox import Inbox
 from deltaq_verification.virtual_cell.cell import VirtualCell
-from deltaq_verification.virtual_cell.delayed_wire import DelayedWire
-from deltaq_verification.virtual_cell.jittery_client import JitteryClient
 from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
 from deltaq_verification.virtual_cell.parts import Link, Process
 

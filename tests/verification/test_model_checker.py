@@ -10,24 +10,24 @@ from pathlib import Path
 
 import pytest
 
-from deltaq_protocol.messages import Phase
-from deltaq_services.robot_server.peer import PeerMemory
-from deltaq_services.robot_server.rsi_driver import DriverMemory
-from deltaq_services.robot_server.session import Belief, Run, SessionMemory
-from deltaq_services.robot_server.snapshot import ServerMemory
-from deltaq_verification.model_checker.attacked import AttackedSystem
-from deltaq_verification.model_checker.explore import explore
-from deltaq_verification.model_checker.one_joint import CYCLE_S, IPOC_STEP, STEP
-from deltaq_verification.model_checker.rsi_line import SECOND_AT
-from deltaq_verification.model_checker.safety_monitor import Property
-from deltaq_verification.model_checker.seeded_bugs import (
+from deltaq_proofs.model_checker.attacked import AttackedSystem
+from deltaq_proofs.model_checker.explore import explore
+from deltaq_proofs.model_checker.one_joint import CYCLE_S, IPOC_STEP, STEP
+from deltaq_proofs.model_checker.rsi_line import SECOND_AT
+from deltaq_proofs.model_checker.safety_monitor import Property
+from deltaq_proofs.model_checker.seeded_bugs import (
     BROKEN,
     ChainIsNotLookedAt,
     ResetIgnoresRest,
     SessionIsTakenInAnyPhase,
     SilentGateIsIgnored,
 )
-from deltaq_verification.model_checker.system import System
+from deltaq_proofs.model_checker.system import System
+from deltaq_protocol.messages import Phase
+from deltaq_services.robot_server.peer import PeerMemory
+from deltaq_services.robot_server.rsi_driver import DriverMemory
+from deltaq_services.robot_server.session import Belief, Run, SessionMemory
+from deltaq_services.robot_server.snapshot import ServerMemory
 
 MOST_CYCLES = 40
 LONG_TO_BE_FOUND = (ChainIsNotLookedAt, ResetIgnoresRest, SessionIsTakenInAnyPhase, SilentGateIsIgnored)
@@ -240,7 +240,7 @@ def test_the_explored_robot_has_a_mode_that_remembers_nothing(system):
 
 @pytest.mark.long
 def test_the_command_prints_what_it_found_and_ends_with_1_for_a_counterexample():
-    command = [sys.executable, "-m", "deltaq_verification.model_checker", "--json", "--broken", "LateIsTaken"]
+    command = [sys.executable, "-m", "deltaq_proofs.model_checker", "--json", "--broken", "LateIsTaken"]
     ended = subprocess.run([*command, "--cycles", "4"], capture_output=True, text=True, check=False)
     assert ended.returncode == 1, ended.stderr
     printed = json.loads(ended.stdout)

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from gate_rig import bound
 
+from deltaq_proofs.model_checker.one_joint import ROBOT, one_joint_cell, one_joint_sim
 from deltaq_protocol.guarded import Request, Supervision
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.measurement import Measurement
-from deltaq_verification.model_checker.one_joint import ROBOT, one_joint_cell, one_joint_sim
 
 
 class Pair:

@@ -2,8 +2,8 @@
 
 import pytest
 
+from deltaq_proofs.retreat_attack import TOLERANCE_M, RetreatAttack, summary
 from deltaq_services.sim.retreat import Retreat
-from deltaq_verification.retreat_attack import TOLERANCE_M, RetreatAttack, summary
 
 
 @pytest.fixture(scope="module")

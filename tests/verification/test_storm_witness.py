@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from krc_side import CELL, FR, KRC, MAX_DV, XML, KrcSide, telegram
 
+from deltaq_proofs.storm.admitted import ROUNDING, Admitted
+from deltaq_proofs.storm.forger import ForgedSender, Forger
+from deltaq_proofs.storm.pulses import Pulses
+from deltaq_proofs.storm.witness import UNHEARD, DatagramOrigin, Passed, UnexplainedError, Witness
 from deltaq_services.robot_server.krc_file import sensor_codec
 from deltaq_services.robot_server.probe_trial import pulse_offsets
-from deltaq_verification.storm.admitted import ROUNDING, Admitted
-from deltaq_verification.storm.forger import ForgedSender, Forger
-from deltaq_verification.storm.pulses import Pulses
-from deltaq_verification.storm.witness import UNHEARD, DatagramOrigin, Passed, UnexplainedError, Witness
 
 PULSES = pulse_offsets(FR, CELL.cycle_s)
 

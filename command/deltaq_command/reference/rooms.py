@@ -12,7 +12,7 @@ ROOMS = (
     ("command", "the `deltaq` command, its pages of reference included"),
     ("testing", "faults for users' own controllers: a plug-in of pytest, scenario files, their reports"),
     ("experiments", "the papers' experiments and benchmarks, each from a cell to a table and a figure"),
-    ("verification", "virtual cell, faults, impaired wires, model checker, attack, oracle, replay"),
+    ("verification", "virtual cell, faults, impaired wires, attack, oracle, replay"),
     ("launch", "what starts things: the table of services, the launcher, compose, a connection to what runs"),
     ("deploy", "what an installation is made of: cells, the files of a KRC; beside it the image"),
     ("services", "HLI, SIM (the gate), Robot Server, recorder, console: a folder a process"),

@@ -1,8 +1,7 @@
 """Where each gain of the camera controllers comes from; `docs/reference/gains.md` is written from this table.
 
 Equations are those of the first paper. A gain that says "trial" was changed until the runs of `deltaq experiment` in
-virtual time were good enough, so another value may be as good. Those of the quadratic programme are
-[halved and doubled](../explanation/gain-sensitivity.md) one after the other; of the others no sweep is kept.
+virtual time were good enough, so another value may be as good.
 """
 
 from __future__ import annotations

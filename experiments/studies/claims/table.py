@@ -1,0 +1,116 @@
+"""The claims: the paper's, and stricter ones of the controllers here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from deltaq_experiments.options import Options
+from studies.claims import quantities as q
+from studies.claims.claim import Claim, JsonReport
+
+LENGTH_S = 20.0
+"""Of a run of tracking or collision: ten seeds of this tell more than one seed of twice as much [s]."""
+
+BEFORE_THE_FINGERS_M = (0.0, 0.0, 0.04)
+"""A point that the gripper's own fingers do not hide, in the tool's frame [m]."""
+
+
+def _within(angle_deg: float, distance_m: float) -> Callable[[JsonReport], bool]:
+    return lambda r: r["angle_deg"]["max"] <= angle_deg and r["distance_m"]["max"] <= distance_m
+
+
+def _reached_in(time_s: float) -> Callable[[JsonReport], bool]:
+    return lambda r: (
+        r["time_to_1_deg_s"] is not None
+        and r["time_to_1_deg_s"] <= time_s
+        and all(start["largest_rise_deg"] < 0.05 for start in r["starts"])
+    )
+
+
+def _plateaus(report: JsonReport) -> bool:
+    *in_reach, out_of_reach = report["plateaus"]
+    explained = out_of_reach["reached"] or out_of_reach["why_not"]
+    return bool(explained) and all(p["reached"] and p["largest_angle_deg"] <= 1.0 for p in in_reach)
+
+
+def _plateaus_and_view(report: JsonReport) -> bool:
+    return _plateaus(report) and bool(report["angle_deg"]["max"] <= 1.0)
+
+
+_APPROACH = (q.SLOWEST, q.RISE, q.SEEN)
+_TRACKING = (q.ANGLE, q.ANGLE_RMS, q.DISTANCE, q.LEADER_MEAN, q.LEADER_PEAK, q.ROLL, q.SEEN)
+_ZOOM = (
+    q.IN_REACH,
+    q.IN_REACH_ANGLE,
+    q.ON_THE_WAY,
+    q.OUT_OF_REACH,
+    q.LEADER_MEAN,
+    q.LEADER_PEAK,
+    q.ROLL,
+    q.SEEN,
+)
+
+
+def _tracking(claim: str, angle_deg: float, distance_m: float, picture: str = "", **options: Any) -> Claim:
+    holds = _within(angle_deg, distance_m)
+    return Claim("tracking", Options(duration_s=LENGTH_S, **options), claim, holds, _TRACKING, picture)
+
+
+CLAIMS = (
+    Claim(
+        "approach", Options(), "Fig. 8: monotone; below 1° in 2 s", _reached_in(2.0), _APPROACH, "fig-8-paper"
+    ),
+    Claim(
+        "approach",
+        Options(controller="qp"),
+        "monotone; below 1° in 0.6 s",
+        _reached_in(0.6),
+        _APPROACH,
+        "fig-8-qp",
+    ),
+    _tracking("Fig. 9: ±1°, ±2 cm", 1.0, 0.021, "fig-9-paper"),
+    _tracking("the paper's future work (VII-B): 0.1°, 0.3 cm", 0.1, 0.003, controller="predictive"),
+    _tracking("0.1°, 0.3 cm", 0.1, 0.003, "fig-9-qp", controller="qp"),
+    Claim(
+        "tracking",
+        Options(controller="qp", duration_s=LENGTH_S, aim_offset_m=BEFORE_THE_FINGERS_M),
+        "aimed 4 cm in front of the fingers: 0.1°, 0.3 cm, and both eyes see the point all the time",
+        lambda r: _within(0.1, 0.003)(r) and bool(r["seen"]["by_all_eyes"] == 1.0),
+        _TRACKING,
+    ),
+    Claim(
+        "tracking",
+        Options(controller="clear-view", duration_s=LENGTH_S),
+        "both eyes see the point between the fingers more than half of the time, within 0.3°",
+        lambda r: bool(r["angle_deg"]["max"] <= 0.3 and r["seen"]["by_all_eyes"] > 0.5),
+        _TRACKING,
+        "clear-view",
+    ),
+    _tracking("asked for 0.5 m/s: 0.1°, 0.3 cm", 0.1, 0.003, controller="qp", leader_speed_m_s=0.5),
+    _tracking("asked for 1 m/s: 0.2°, 1 cm", 0.2, 0.01, controller="qp", leader_speed_m_s=1.0),
+    _tracking("and with 8 m/s²", 0.2, 0.01, controller="qp", leader_speed_m_s=1.0, stick_m_s2=8.0),
+    Claim(
+        "zoom",
+        Options(),
+        "Fig. 10: the distance is kept except where F_rep or a limit prevents it; the angle is unaffected",
+        _plateaus,
+        _ZOOM,
+        "fig-10-paper",
+    ),
+    Claim(
+        "zoom",
+        Options(controller="predictive"),
+        "with an extrapolated focus: within 1 cm and 1° at distances in reach",
+        _plateaus,
+        _ZOOM,
+    ),
+    Claim(
+        "zoom",
+        Options(controller="qp"),
+        "within 1 cm at distances in reach, and reported if out of reach; within 1° also on the way",
+        _plateaus_and_view,
+        _ZOOM,
+        "fig-10-qp",
+    ),
+)

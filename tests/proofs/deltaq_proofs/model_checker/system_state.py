@@ -1,0 +1,222 @@
+"""One moment of the composed system: both programs, what is in flight between them, and what is owed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Any
+
+from deltaq_proofs.model_checker.line_key import line_key
+from deltaq_proofs.model_checker.one_joint import (
+    GATE_TIMEOUT_CYCLES,
+    HLI_TIMEOUT_CYCLES,
+    KRC_TIMEOUT_CYCLES,
+    ROBOT,
+    STEP,
+)
+from deltaq_proofs.model_checker.ranks import ranks
+from deltaq_proofs.model_checker.rsi_line import RsiLine
+from deltaq_proofs.model_checker.safety_monitor import SafetyMonitor
+from deltaq_proofs.model_checker.used_requests import UsedRequests
+from deltaq_protocol.guarded import Admission, GateMemory, Request, ServerState, Supervision
+from deltaq_services.robot_server.snapshot import ServerMemory
+
+KEPT = 2
+"""Messages of a kind that may be under way at once; older ones are lost for good."""
+
+_CYCLES_APART = 4
+"""Cycle numbers further apart than this are told apart, but not by how much: no age that is judged is greater."""
+
+_STEPS_APART = 40
+"""Nor are places further from the setpoint: no robot comes back to one before what was sent there is out of date."""
+
+_PAST_TIMEOUT = 1 + max(GATE_TIMEOUT_CYCLES, KRC_TIMEOUT_CYCLES, HLI_TIMEOUT_CYCLES)
+"""A count of silent cycles says nothing more from here on."""
+
+
+class Turn(StrEnum):
+    """Who acts next; one round is one cycle of the robot."""
+
+    TELEGRAM = "telegram"
+    STATE = "state"
+    HLI = "hli"
+
+
+@dataclass(frozen=True, slots=True)
+class SentState:
+    """A state in flight, and whether it tells that the KRC is silent."""
+
+    message: ServerState
+    silent: bool
+
+
+@dataclass(frozen=True, slots=True)
+class SentSupervision:
+    """A heartbeat in flight, and whether the gate had taken a stop when it sent it."""
+
+    message: Supervision
+    order_of_stop: bool
+
+
+@dataclass(frozen=True, slots=True)
+class SystemState:
+    """A moment. What is in flight stays for others to duplicate, delay or put before what is newer.
+
+    Attributes:
+        server: the memory of the Robot Server.
+        gate: that of the SIM.
+        turn: who acts next.
+        faults_left: how many more faults may happen.
+        ticks: rises with every telegram or silence.
+        q: where the KRC was last known to stand [m].
+        displaced: the robot is off the path that was commanded.
+        states, admissions, supervisions: in flight, newest last.
+        new_admission, new_supervision: the newest was sent since the last telegram.
+        monitor: what is owed.
+        used: which request stands behind which admission.
+        line: RSI's wire, where it is one that may be attacked.
+    """
+
+    server: ServerMemory
+    gate: GateMemory
+    turn: Turn
+    faults_left: int
+    ticks: int
+    q: float
+    displaced: bool
+    states: tuple[SentState, ...]
+    admissions: tuple[Admission, ...]
+    supervisions: tuple[SentSupervision, ...]
+    new_admission: bool
+    new_supervision: bool
+    monitor: SafetyMonitor
+    used: UsedRequests
+    line: RsiLine | None = None
+
+    def key(self) -> tuple[Any, ...]:
+        """What tells this moment from others, apart from the faults left.
+
+        Numbers that only count up (cycles, sequences, resets, time) and the place of the robot are told by how they
+        compare with one another, because the programs do nothing else with them. Without a fault left, what was not
+        delivered in its turn never will be, and tells nothing.
+        """
+        if self.faults_left:
+            return _Key(self).of_world()
+        due = replace(
+            self,
+            states=self.states[-1:] if self.turn is Turn.STATE else (),
+            admissions=self.admissions[-1:] if self.new_admission else (),
+            supervisions=self.supervisions[-1:] if self.new_supervision else (),
+        )
+        return _Key(due).of_world()
+
+
+class _Key:
+    def __init__(self, system_state: SystemState) -> None:
+        self._system_state = system_state
+        gate = system_state.gate.robots[ROBOT]
+        state = gate.tracker.state
+        states = [sent.message for sent in system_state.states]
+        states += [one for one in (state, system_state.server.state) if one is not None]
+        admissions = [*system_state.admissions]
+        admissions += [*gate.tracker.in_flight, *system_state.server.admissions]
+        cycles = [-1, 0, gate.decided_cycle, *(s.cycle for s in states), *(a.cycle for a in admissions)]
+        for request in (gate.waiting, gate.decided):
+            if request is not None:
+                cycles += [request.cycle, request.cycle if request.newest is None else request.newest]
+        self._cycle = ranks(cycles, _CYCLES_APART)
+        sequences = [0, system_state.gate.sequence, *(s.sequence for s in states)]
+        for admission in admissions:
+            sequences += [admission.sequence, admission.follows_sequence]
+        self._sequence = ranks(sequences, 1)
+        resets = [0, gate.orders.resets, system_state.server.resets, *(s.resets for s in states)]
+        resets += [admission.follows_resets for admission in admissions]
+        self._resets = ranks([*resets, *(sent.message.resets for sent in system_state.supervisions)], 2)
+        self._process = ranks([s.process for s in states], 1)
+        self._time = ranks([round(s.time_s) for s in states], 1)
+        self._place = (
+            system_state.server.state.q_cmd[0] if system_state.server.state is not None else system_state.q
+        )
+
+    def of_world(self) -> tuple[Any, ...]:
+        system_state, server = self._system_state, self._system_state.server
+        gate = system_state.gate.robots[ROBOT]
+        state, silent = gate.tracker.state, gate.orders.cycles_without_hli
+        return (
+            system_state.turn,
+            system_state.displaced,
+            self._q(system_state.q),
+            system_state.new_admission,
+            system_state.new_supervision,
+            system_state.monitor,
+            min(server.cycles_without_gate, _PAST_TIMEOUT),
+            min(server.cycles_missed, _PAST_TIMEOUT),
+            server.cycles_at_rest,
+            None if server.q_settled is None else self._q(server.q_settled[0]),
+            server.motion_stop,
+            self._resets[server.resets],
+            self._state(server.state),
+            (system_state.gate.epoch, self._sequence[system_state.gate.sequence]),
+            self._state(state),
+            tuple(self._admission(admission) for admission in gate.tracker.in_flight),
+            tuple(self._admission(admission) for admission in server.admissions),
+            tuple(self._q(setpoint[0]) for setpoint in gate.tracker.history),
+            tuple(self._process[one] for one in gate.tracker.ended_processes if one in self._process),
+            gate.orders.standing_stop,
+            self._resets[gate.orders.resets],
+            None if silent is None else min(silent, _PAST_TIMEOUT),
+            gate.orders.krc_silent,
+            self._cycle[gate.decided_cycle],
+            # spoken in any cycle before the newest is the same
+            None if state is None else max(gate.spoken_cycle - state.cycle, -1),
+            self._request(gate.waiting),
+            self._request(gate.decided),
+            system_state.used.key(
+                (*system_state.admissions, *server.admissions), (gate.waiting or gate.decided) is not None
+            ),
+            tuple((self._state(sent.message), sent.silent) for sent in system_state.states),
+            tuple(self._admission(admission) for admission in system_state.admissions),
+            tuple(
+                (sent.message.epoch, sent.message.stop, self._resets[sent.message.resets], sent.order_of_stop)
+                for sent in system_state.supervisions
+            ),
+            None if system_state.line is None else line_key(system_state.line, system_state.ticks, self._q),
+        )
+
+    def _q(self, value: float) -> int:
+        steps = round((value - self._place) / STEP)
+        return max(-_STEPS_APART, min(steps, _STEPS_APART))
+
+    def _state(self, state: ServerState | None) -> tuple[Any, ...] | None:
+        if state is None:
+            return None
+        return (
+            self._process[state.process],
+            self._cycle[state.cycle],
+            self._time[round(state.time_s)],
+            self._q(state.q[0]),
+            self._q(state.q_cmd[0]),
+            None if state.q_reset is None else self._q(state.q_reset[0]),
+            state.dq,
+            (state.plan.dq, state.plan.brake_cycles, state.plan.step),
+            (state.epoch, self._sequence[state.sequence], self._resets[state.resets]),
+            (state.phase, state.reason),
+        )
+
+    def _request(self, request: Request | None) -> tuple[Any, ...] | None:
+        if request is None:
+            return None
+        newest = request.cycle if request.newest is None else request.newest
+        return (self._cycle[request.cycle], self._cycle[newest], request.dq)
+
+    def _admission(self, admission: Admission) -> tuple[Any, ...]:
+        return (
+            admission.epoch,
+            self._sequence[admission.sequence],
+            self._cycle[admission.cycle],
+            self._sequence[admission.follows_sequence],
+            self._q(admission.follows_q_cmd[0]),
+            admission.follows_dq,
+            self._resets[admission.follows_resets],
+            admission.dq,
+        )

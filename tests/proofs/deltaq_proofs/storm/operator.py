@@ -1,0 +1,54 @@
+"""Who brings the robot back to its work whenever an attack has stopped it, as somebody at the cell would."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from deltaq_cell.description import CellDescription
+from deltaq_emulator.states import KrcState
+from deltaq_launch.cell_connection import connect
+from deltaq_proofs.storm.worker import Worker
+from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
+from deltaq_protocol.messages import Phase
+from deltaq_verification.faults.panel import PanelClient, PanelError, recovery
+
+_LOOK_S = 0.25
+_RESTART_LOOKS = 120
+"""Looks after which the program on the KRC is started anew, so that sessions begin while the storm goes on."""
+
+
+class StormOperator(Worker):
+    """Looks at pendant and phase in a thread of its own; a context manager.
+
+    Args:
+        cell: the running cell.
+        robot: whose KRC and phase.
+
+    Attributes:
+        did: what was done, and how often the robot was seen in which phase.
+    """
+
+    def __init__(self, cell: CellDescription, robot: str) -> None:
+        super().__init__("operator")
+        self.did: Counter[str] = Counter()
+        self._cell, self._robot = cell, robot
+
+    def work(self) -> None:
+        """Look again and again."""
+        looks = 0
+        with PanelClient(self._cell, self._robot) as panel, connect(self._cell, "operator") as running:
+            while not self.ended.wait(_LOOK_S):
+                looks += 1
+                try:
+                    state = panel.ask({"op": "status"})["state"]
+                    again = looks % _RESTART_LOOKS == 0 and state == KrcState.RSI_RUNNING
+                    for request in recovery(state) or ([{"op": "restart"}] if again else []):
+                        panel.ask(request)
+                        self.did[f"KRC: {request['op']}"] += 1
+                    phase = running.status().robots[self._robot].phase
+                    self.did[f"seen {phase}"] += 1
+                    if phase is Phase.HELD:
+                        running.reset(self._robot)
+                        self.did["reset"] += 1
+                except (PanelError, RefusedError, ServiceUnreachableError):
+                    self.did["refused"] += 1  # asked again at the next look
