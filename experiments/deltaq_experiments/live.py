@@ -26,6 +26,7 @@ from deltaq_protocol.arrays import Array
 from deltaq_protocol.codec import unpack
 from deltaq_protocol.messages import RobotState
 from deltaq_verification.counts import GateCounts
+from deltaq_verification.oracle import record_cycle_s
 from deltaq_verification.recorded import not_there_yet
 
 START_S = 30.0
@@ -79,8 +80,10 @@ def run_live(
             summary = launcher.last_json(follower.name) or {}
         states = [unpack(RobotState, sample) for sample in samples]
         setpoints = {name: _setpoints(path, cell.robots[name].n) for name, path in records.items()}
+        krc_cycle_s = {name: record_cycle_s(path) for name, path in records.items()}
     reasons = {k.removeprefix("reason_"): v for k, v in status.gate.items() if k.startswith("reason_")}
     trace = trace_of(states, tuple(cell.robots), setpoints, summary["began_s"], options.length_s)
+    trace = replace(trace, krc_cycle_s=krc_cycle_s)
     return RunRecord(trace, GateCounts.of(status.gate), reasons)
 
 

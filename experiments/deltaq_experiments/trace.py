@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,11 +31,13 @@ class Trace:
         time_s: (k,) since the beginning.
         q: per robot (k, n) measured configurations at these times [rad or m].
         setpoints: per robot (m, n) consecutive setpoints of the emulated controller [rad or m].
+        krc_cycle_s: per robot the time between two of them, by the controller's own record; the cell's if not given.
     """
 
     time_s: Array
     q: Mapping[str, Array]
     setpoints: Mapping[str, Array]
+    krc_cycle_s: Mapping[str, float] = field(default_factory=dict)
 
     def views(self, camera: FocusController, scene: Scene) -> Array:
         """(k, 2) view angle error [deg] and view distance [m] of the measured configurations.
@@ -100,7 +102,9 @@ class Trace:
     def limit_counts(self, cell: CellModel) -> LimitCounts:
         """Counted from the emulated controllers' setpoints."""
         return LimitCounts.sum(
-            limit_violations(cell.robots[name], setpoints, cell.description.cycle_s)
+            limit_violations(
+                cell.robots[name], setpoints, self.krc_cycle_s.get(name, cell.description.cycle_s)
+            )
             for name, setpoints in self.setpoints.items()
         )
 

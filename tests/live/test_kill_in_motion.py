@@ -14,7 +14,7 @@ pytestmark = pytest.mark.live
 
 def assert_came_to_rest_along_the_brake(stack, killed_in_cycle):
     """Deceleration within limits, no jump, no limit passed, one straight line, and no longer than it must be."""
-    cycle_s, robot = stack.cell.cycle_s, stack.robot
+    cycle_s, robot = stack.krc_cycle_s, stack.robot
     cycles, setpoints = stack.setpoints()
     assert (np.diff(cycles) == 1).all()
     after = setpoints[killed_in_cycle - cycles[0] - 2 :]

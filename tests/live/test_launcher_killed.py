@@ -14,6 +14,7 @@ import pytest
 from live_stack import MOVING_RAD_S
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_verification.oracle import record_cycle_s
 
 pytestmark = pytest.mark.live
 
@@ -56,7 +57,7 @@ def test_robots_come_to_rest_before_the_services_of_a_killed_launcher_end(tmp_pa
         os.close(service)
 
     cell = CellModel.load(tmp_path / "private.yaml")
-    robot, cycle_s = cell.robots["fr"], cell.description.cycle_s
+    robot, cycle_s = cell.robots["fr"], record_cycle_s(tmp_path / "fr.csv")
     columns = range(2 + robot.n, 2 + 2 * robot.n)
     setpoints = np.loadtxt(tmp_path / "fr.csv", delimiter=",", skiprows=1, usecols=columns)
     speed = np.abs(np.diff(setpoints, axis=0)).max(axis=1)  # [rad in a cycle]

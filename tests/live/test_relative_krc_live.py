@@ -1,4 +1,4 @@
-"""An emulated KRC that adds corrections up, as a process, before a whole cell of real processes."""
+"""An emulated KRC that adds corrections up, or ticks otherwise, as a process, before a whole cell of real processes."""
 
 from dataclasses import replace
 
@@ -28,6 +28,23 @@ def relative(services, file):
     settings.write_text(text.replace("correction: absolute", "correction: relative"), encoding="utf-8")
     return [
         replace(service, arguments=(*service.arguments, "--settings", str(settings)))
+        if service.role is Role.EMULATOR and service.robot == "fr"
+        else service
+        for service in services
+    ]
+
+
+def at_4_ms(services, file):
+    """The floor robot's KRC ticks every 4 ms, and its drives are so quick that no probe of theirs fails by that."""
+    quick = file.with_name("quick.yaml")
+    lag = "{dead_time_s: 0.004, natural_frequency_rad_s: 1500}"
+    robot = f"{{driver: {{krc: krc4}}, servo_lag: {lag}}}"
+    quick.write_text(f"extends: {file.name}\ncycle_s: 0.004\nrobots: {{fr: {robot}}}\n", encoding="utf-8")
+    return [
+        replace(
+            service,
+            arguments=tuple(str(quick) if one == str(file) else one for one in service.arguments),
+        )
         if service.role is Role.EMULATOR and service.robot == "fr"
         else service
         for service in services
@@ -65,6 +82,22 @@ def test_a_krc_in_relative_mode_is_never_driven(tmp_path):
         # where a reply was missed this KRC adds the one before once more, or none: so much is not undone
         off = 1e-6 + PROBE_RAD * stack.unanswered()
         np.testing.assert_allclose(setpoints[-1], stack.robot.home, atol=off)
+
+
+def test_a_krc_that_ticks_three_times_as_fast_as_its_cell_is_never_driven(tmp_path):
+    with live_stack(tmp_path, rewired=at_4_ms) as stack:
+        stack.wait_for_reason("cycle_mismatch")
+        assert "the KRC ticks every 4.0 ms by its IPOC" in detail(stack)
+        stack.wait_until_said("robot-server-fr", "the cell says 12.0 ms")
+        with (
+            connect(stack.cell, "test") as running,
+            pytest.raises(RefusedError, match="does not tick with the cell's cycle"),
+        ):
+            running.reset("fr")
+        stack.wait_cycles(100)
+        assert stack.krc_cycle_s == pytest.approx(0.004)
+        _, setpoints = stack.setpoints()
+        assert np.abs(np.diff(setpoints, axis=0)).max() == 0.0
 
 
 def test_a_krc_that_turns_relative_in_motion_is_told_to_stop_and_comes_to_rest(tmp_path):

@@ -21,6 +21,7 @@ from deltaq_launch.services import Role, Service, cell_services
 from deltaq_protocol.errors import RefusedError
 from deltaq_protocol.messages import Phase
 from deltaq_services.guarded_key import KEY_FILE
+from deltaq_verification.oracle import record_cycle_s
 
 MOVER = Path(__file__).with_name("mover.py")
 MOVING_RAD_S = np.deg2rad(25)
@@ -143,6 +144,11 @@ class Stack:
             ).reason != reason or status.phase is not Phase.HELD:
                 assert time.monotonic() < deadline, (status.phase, status.reason)
                 self._pause()
+
+    @property
+    def krc_cycle_s(self):
+        """The emulated controller's cycle by its own record, in which its setpoints are judged [s]."""
+        return record_cycle_s(self.record)
 
     def setpoints(self):
         joints = self.robot.n

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 
@@ -123,13 +124,24 @@ TELEGRAM_STEP = 1e-6 * np.pi / 180
 """Rounding of a setpoint to six decimals of a degree [rad]; of a millimetre it is less [m]."""
 
 
+def record_cycle_s(record: Path) -> float:
+    """The cycle of an emulated controller by its own record, whatever the cell says [s].
+
+    What its arm does in a second is judged with this one: a controller that ticks faster moves faster.
+    """
+    with record.open(encoding="utf-8") as rows:
+        next(rows)
+        cycle, time_s, *_ = next(rows).split(",")
+    return float(time_s) / int(cycle)
+
+
 def limit_violations(robot: RobotModel, setpoints: Array, cycle_s: float) -> LimitCounts:
     """Count where consecutive setpoints pass a limit by more than the telegram's decimals explain.
 
     Args:
         robot: whose limits count.
         setpoints: (cycles, n) the emulated controller's setpoints [rad or m].
-        cycle_s: time between two of them.
+        cycle_s: time between two of them, by the controller's own record; see `record_cycle_s`.
     """
     position = (setpoints < robot.lower - TELEGRAM_STEP) | (setpoints > robot.upper + TELEGRAM_STEP)
     steps = np.diff(setpoints, axis=0)

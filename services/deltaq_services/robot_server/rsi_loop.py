@@ -9,6 +9,7 @@ One thread, and one cycle of it:
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Mapping
 
@@ -20,6 +21,8 @@ from deltaq_services.robot_server.guarded_link import GuardedLink
 from deltaq_services.robot_server.krc_socket import KrcSocket
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.rsi_driver import RsiDriver
+
+_log = logging.getLogger(__name__)
 
 
 class RsiLoop:
@@ -49,6 +52,7 @@ class RsiLoop:
         self._link, self._ending = link, ending
         self._silence_s, self._records = silence_s, records
         self._silent_s = 0.0
+        self._cycle_fault = ""
 
     def run(self) -> None:
         """Answer telegrams until the process may end."""
@@ -67,6 +71,7 @@ class RsiLoop:
                 self._server.state, now_s, lambda: _told(self._server.detail, self._krc.detail)
             )
             self._ending.cycle_passed()
+            self._warn(measured.cycle_fault)
             return
         if self._rsi.unmoved is not None:
             self._krc.send(self._rsi.unmoved)
@@ -79,6 +84,12 @@ class RsiLoop:
             self._ending.krc_silent()
         else:
             self._link.publish(None, now_s, lambda: _told("waiting for a position", self._krc.detail))
+
+    def _warn(self, cycle_fault: str) -> None:
+        """Log why the KRC's cycle is not the cell's, once while it is not."""
+        if cycle_fault and not self._cycle_fault:
+            _log.warning("%s", cycle_fault)
+        self._cycle_fault = cycle_fault
 
     def _hear(self, now_s: float) -> None:
         """Hand the core what has come from the gate."""

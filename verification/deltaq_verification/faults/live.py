@@ -29,7 +29,7 @@ from deltaq_verification.faults.mover import CRUISE_RAD_S, SWING_RAD
 from deltaq_verification.faults.panel import PanelError, describe, pendant_message, recovery
 from deltaq_verification.faults.report import NEVER, FaultEffect, is_good, judged, motion_after, recovery_text
 from deltaq_verification.faults.virtual import ATTEMPTS, FaultRunError
-from deltaq_verification.oracle import ClearanceOracle
+from deltaq_verification.oracle import ClearanceOracle, record_cycle_s
 from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
 from deltaq_verification.virtual_cell.parts import Process
 
@@ -107,8 +107,7 @@ class _Run:
         self._injector = Injector(running, loaded, robot)
         self._cell, self._robot = loaded.model, robot
         self._description = loaded.model.description
-        self._cycle_s = self._description.cycle_s
-        self._cruise = float(CRUISE_RAD_S * self._cycle_s)
+        self._cruise = float(CRUISE_RAD_S * self._description.cycle_s)
         self._home = float(loaded.model.robots[robot].home[0])
 
     def suffer(self, fault: Fault) -> FaultEffect:
@@ -124,7 +123,9 @@ class _Run:
             phase, reason = self._phase()
         recovery = self._recover(steps)
         ended = self._status()
-        rows = rows_of(self._records[self._robot])
+        record = self._records[self._robot]
+        cycle_s = record_cycle_s(record)
+        rows = rows_of(record)
         rows = rows[(rows[:, 0] >= begun["cycle"]) & (rows[:, 0] < ended["cycle"])]
         model = self._cell.robots[self._robot]
         setpoints = rows[:, 1 + model.n : 1 + 2 * model.n]
@@ -136,7 +137,7 @@ class _Run:
         kept = judged(
             model,
             setpoints,
-            self._cycle_s,
+            cycle_s,
             unanswered,
             self._nearest(rows[:, 1 : 1 + model.n]),
             pendant_message(lifted["message"]),
@@ -148,7 +149,7 @@ class _Run:
             fault=fault.name,
             what=fault.what,
             live=True,
-            motion=motion_after(model, setpoints[fault_rows], self._cycle_s, self._cruise),
+            motion=motion_after(model, setpoints[fault_rows], cycle_s, self._cruise),
             phase=phase,
             reason=reason,
             named_after_s=named,
