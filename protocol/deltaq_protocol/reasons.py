@@ -49,6 +49,7 @@ class ReasonCode(StrEnum):
     SERVER_LOST = "server_lost"
     SERVER_ENDED = "server_ended"
     REPLY_REFUSED = "reply_refused"
+    CRASH_BRAKE_LOST = "crash_brake_lost"
     TRACKING_ERROR = "tracking_error"
     RSI_MODE = "rsi_mode"
     CYCLE_MISMATCH = "cycle_mismatch"
@@ -94,6 +95,7 @@ EXPLANATIONS: dict[ReasonCode, str] = {
     ReasonCode.SERVER_LOST: "the Robot Server was restarted",
     ReasonCode.SERVER_ENDED: "the Robot Server was ended",
     ReasonCode.REPLY_REFUSED: "the Robot Server's last check refused a correction, which was not sent",
+    ReasonCode.CRASH_BRAKE_LOST: "the process that brakes the robot if its Robot Server dies had ended or was stopped",
     ReasonCode.TRACKING_ERROR: "the robot left its commanded path",
     ReasonCode.RSI_MODE: "the probe did not confirm that the KRC takes corrections as after RSI_ON(#ABSOLUTE)",
     ReasonCode.CYCLE_MISMATCH: "the robot's controller does not tick with the cell's cycle",

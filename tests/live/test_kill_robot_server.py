@@ -5,6 +5,7 @@ What happened is read from the emulated controller's own record.
 
 import os
 import select
+import signal
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from test_kill_in_motion import assert_came_to_rest_along_the_brake
 
 from deltaq_emulator.states import KrcState
 from deltaq_protocol.messages import Phase
+from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.phases import MAY_MOVE
 
 pytestmark = pytest.mark.live
@@ -48,6 +50,25 @@ def test_killing_a_robot_server_brakes_its_robot_ends_its_motion_and_a_restart_g
     stack.wait_until_said(name, "its robot was braked")
     stack.launcher.restart(name)
     assert_goes_on(stack)
+
+
+def test_a_brake_process_that_is_killed_is_missed_replaced_and_its_robot_held_meanwhile(moving_stack):
+    stack, name = moving_stack, "robot-server-fr"
+    first = beside(stack.launcher.children[name].pid)
+    signal.pidfd_send_signal(first, signal.SIGKILL)
+    os.close(first)
+    stack.wait_for_reason(ReasonCode.CRASH_BRAKE_LOST)
+    stack.wait_until_said(name, "was ended by SIGKILL: fr is held while another starts")
+    stack.wait_until_said(name, "the process that brakes fr waits again")
+    stack.wait_until_at_rest()
+    stack.launcher.restart("mover")
+    stack.reset()
+    stack.wait_until_moving()
+    brake = beside(stack.launcher.children[name].pid)
+    killed = stack.kill(name)
+    assert select.select([brake], [], [], TIMEOUT_S)[0], "it outlived its robot's brake"
+    os.close(brake)
+    assert_came_to_rest_along_the_brake(stack, killed)
 
 
 def test_a_restart_waits_for_the_port_while_the_robot_is_braked(moving_stack):

@@ -111,6 +111,23 @@ def test_a_server_that_is_killed_leaves_a_robot_that_is_braked(number):
         assert "its robot was braked" in both.server.stdout.read()
 
 
+@pytest.mark.parametrize(
+    ("number", "says"), [(signal.SIGSTOP, "was stopped by SIGSTOP"), (signal.SIGKILL, "was ended by SIGKILL")]
+)
+def test_a_process_beside_it_that_is_killed_or_stopped_is_told_and_replaced(number, says):
+    with beside() as both:
+        os.kill(both.pid, number)
+        both.server.stdin.write("mend\n")
+        both.server.stdin.flush()
+        assert says in both.server.stdout.readline()
+        assert both.has_ended()
+        os.close(both.descriptor)
+        both.pid = int(both.server.stdout.readline())
+        both.descriptor = os.pidfd_open(both.pid)
+        both.server.kill()
+        both.assert_brakes()
+
+
 def test_a_kill_of_its_process_group_and_signals_to_end_do_not_reach_it():
     with beside() as both:
         for ending in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):

@@ -511,6 +511,32 @@ def test_a_reply_that_was_not_sent_holds_the_robot_where_the_krc_was_sent(rig):
     assert rig.counters["replies_refused"] == 2
 
 
+def test_a_robot_whose_crash_brake_is_missing_is_held_until_it_is_back_and_a_reset_follows(rig):
+    rig.run_up(3)
+    rig.server.guarded = False
+    state = rig.cycle()
+    assert (state.phase, state.reason) == (Phase.HELD, ReasonCode.CRASH_BRAKE_LOST)
+    while not rig.server.at_rest:
+        rig.cycle()
+    rig.resets += 1
+    assert rig.cycle().phase is Phase.HELD
+    rig.server.guarded = True
+    assert rig.cycle().phase is Phase.HELD, "the reset was given while the brake was missing"
+    rig.resets += 1
+    assert rig.cycle().phase is Phase.READY
+
+
+def test_a_robot_is_not_ready_before_its_crash_brake_is():
+    server = RobotServer(CELL, "fr", process=1)
+    server.guarded = False
+    rig = Rig.__new__(Rig)
+    rig.server, rig.q, rig.ipoc, rig.resets = server, FR.home.copy(), 1000, 0
+    rig.begin(rig.q)
+    assert rig.cycle().phase is Phase.OFFLINE
+    server.guarded = True
+    assert rig.cycle().phase is Phase.READY
+
+
 LAG = math.ceil(CELL.gate.servo_lag_s / CELL.cycle_s)
 
 

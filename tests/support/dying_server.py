@@ -2,6 +2,7 @@
 
 It stands for a Robot Server: its arguments are a body of a record, in hexadecimal, the KRC's port, and after which time
 without a telegram that KRC counts as silent [s]. It prints its own port, and the identifier of the process beside it.
+Told `fail` it raises; told `mend` it says what it knows of that process, and which one is beside it then.
 """
 
 import signal
@@ -28,8 +29,16 @@ def main() -> None:
                 watch.sent()
                 try:
                     print(sock.getsockname()[1], watch.pid, flush=True)
-                    if sys.stdin.readline() == "fail\n":
-                        raise RuntimeError("a fault of the Robot Server")
+                    for line in sys.stdin:
+                        if line == "fail\n":
+                            raise RuntimeError("a fault of the Robot Server")
+                        while watch.ready:  # a signal takes a moment to arrive
+                            time.sleep(0.01)
+                        print(watch.detail, flush=True)
+                        while not watch.ready:
+                            watch.mend(time.monotonic())
+                            time.sleep(0.01)
+                        print(watch.pid, flush=True)
                 except SystemExit:
                     return
         finally:

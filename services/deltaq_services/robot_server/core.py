@@ -46,6 +46,7 @@ class RobotServer:
         outputs: digital outputs to be set, by name.
         motion_stop: the KRC has to end the motion itself, since this robot moves on although its setpoint rests.
         counters: events by name.
+        guarded: whether a process is ready to brake the robot should this one die; the robot is held if not.
     """
 
     def __init__(self, cell: CellDescription, robot: str, process: int) -> None:
@@ -54,6 +55,7 @@ class RobotServer:
         self._identity = str(content_identity(cell))
         self.outputs: dict[str, bool] = dict.fromkeys(cell.robots[robot].outputs, False)
         self.motion_stop = False
+        self.guarded = True
         self.counters: Counter[str] = Counter()
         self._bounds = Bounds.of(cell.robots[robot], cell.cycle_s)
         lag_cycles = math.ceil(cell.gate.servo_lag_s / cell.cycle_s)
@@ -125,6 +127,8 @@ class RobotServer:
         self._cycle += 1
         self._watch(measured.q)
         self._probe(measured)
+        if not self.guarded:
+            self._stop(ReasonCode.CRASH_BRAKE_LOST)
         self._supervise(supervision, measured)
         if measured.missed_last:
             # the KRC still stands at the setpoint before: send the missed one again instead of a double step
@@ -302,6 +306,8 @@ class RobotServer:
         """Why no reset lets the robot be driven now; None if one may."""
         if measured.cycle_fault:
             return ReasonCode.CYCLE_MISMATCH
+        if not self.guarded:
+            return ReasonCode.CRASH_BRAKE_LOST
         return ReasonCode.RSI_MODE if self._mode.bars else None
 
     def _supervise(self, supervision: Supervision | None, measured: Measurement) -> None:
@@ -320,7 +326,7 @@ class RobotServer:
         else:
             refused = ReasonCode.RSI_MODE if self._mode.refused else None
         known = self._mode.known and measured.cycle_known
-        if self._phase is Phase.OFFLINE and (known or refused is not None):
+        if self._phase is Phase.OFFLINE and self.guarded and (known or refused is not None):
             self._epoch = supervision.epoch
             self._resets = supervision.resets  # these were given to an earlier process
             self._enter(Event.LINKED)

@@ -86,6 +86,11 @@ class KrcSocket:
         """The socket itself, for the process that answers the KRC after this one."""
         return self._sock
 
+    @property
+    def is_guarded(self) -> bool:
+        """Whether a process is ready to brake the robot should this one die, where one is wanted."""
+        return self.watch is None or self.watch.ready
+
     def wait(self, seconds: float) -> bool:
         """Wait so long for a datagram; whether there is one."""
         return bool(select.select([self._sock], [], [], max(0.0, seconds))[0])

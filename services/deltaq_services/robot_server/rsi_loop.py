@@ -60,6 +60,8 @@ class RsiLoop:
         while not self._ending.over:
             self._krc.wait(self._silent_s - time.monotonic())
             self._read(time.monotonic())
+            if self._krc.watch is not None:
+                self._krc.watch.mend(time.monotonic())
 
     def _read(self, now_s: float) -> None:
         """Answer the telegram that has come, if one has, or notice that the KRC is silent."""
@@ -102,6 +104,7 @@ class RsiLoop:
 
     def _decide(self, measured: Measurement, now_s: float) -> None:
         self._hear(now_s)
+        self._server.guarded = self._krc.is_guarded
         (setpoint,) = self._server.take(measured, now_s)
         stop = self._ending.stop or setpoint.motion_stop
         reply = self._rsi.reply(setpoint.q_cmd, setpoint.outputs, stop)

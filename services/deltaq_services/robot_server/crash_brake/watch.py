@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import mmap
 import os
 import resource
+import signal
 import socket
 import subprocess
 import sys
@@ -17,13 +19,19 @@ from deltaq_services.robot_server.crash_brake.core import CrashPlan
 from deltaq_services.robot_server.crash_brake.memory import CrashMemory
 from deltaq_services.robot_server.crash_brake.record import CrashRecords
 
+_log = logging.getLogger(__name__)
+_AGAIN_S = 1.0
+"""Between two starts of a process that does not stay."""
+_KILLED_S = 0.05
+"""A killed process is gone by then."""
 _PROCESS = "deltaq_services.robot_server.crash_brake.process"
 
 
 class CrashWatch:
     """One process, and the memory shared with it; a context manager that lets it end.
 
-    Left without an error, the process has nothing to do. With one, however small, it brakes the robot.
+    Left without an error, the process has nothing to do. With one, however small, it brakes the robot. One that has
+    ended or was stopped is replaced; see `ready` and `mend`.
 
     Args:
         plan: of the robot.
@@ -33,29 +41,15 @@ class CrashWatch:
 
     def __init__(self, plan: CrashPlan, sock: socket.socket, robot: str = "") -> None:
         records = CrashRecords(len(plan.most), plan.outputs)
-        self._plan = plan
-        shared = os.memfd_create("deltaq-crash-brake")
-        try:
-            os.ftruncate(shared, CrashMemory.bytes_for(records))
-            self._file = mmap.mmap(shared, 0)
-            self._memory = CrashMemory(self._file, records)
-            self._memory.mutex.own()
-            _dump_no_core()
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", _PROCESS, str(shared), str(sock.fileno()), robot],
-                stdin=subprocess.PIPE,
-                pass_fds=(shared, sock.fileno()),
-                start_new_session=True,  # what kills the Robot Server's process group does not reach it
-                text=True,
-            )
-        finally:
-            os.close(shared)
-        assert self._process.stdin is not None  # a pipe was asked for
-        with (
-            contextlib.suppress(BrokenPipeError),
-            self._process.stdin as plans,
-        ):  # `detail` tells that it has ended
-            plans.write(plan.json())
+        self._plan, self._socket, self._robot = plan, sock, robot
+        self._shared = os.memfd_create("deltaq-crash-brake")
+        os.ftruncate(self._shared, CrashMemory.bytes_for(records))
+        self._file = mmap.mmap(self._shared, 0)
+        self._memory = CrashMemory(self._file, records)
+        self._memory.mutex.own()
+        _dump_no_core()
+        self._lost, self._start_s = "", 0.0
+        self._process = self._started()
 
     def __enter__(self) -> Self:
         return self
@@ -72,6 +66,72 @@ class CrashWatch:
             self._process.wait()
         self._memory.close()
         self._file.close()
+        os.close(self._shared)
+
+    @property
+    def ready(self) -> bool:
+        """Whether the process waits for this one's end; one system call."""
+        return self._memory.armed and not self._fault()
+
+    def mend(self, now_s: float) -> None:
+        """Start another process in place of one that has ended or was stopped, and log both.
+
+        Args:
+            now_s: on the monotonic clock.
+        """
+        if not (fault := self._fault()):
+            if self._lost and self._memory.armed:
+                _log.warning("the process that brakes %s waits again; a reset lets it move", self._robot)
+                self._lost = ""
+            return
+        if fault != self._lost:
+            _log.error(
+                "the process that brakes %s if this one dies %s: %s is held while another starts",
+                self._robot, fault, self._robot,
+            )  # fmt: skip
+            self._lost = fault
+        if now_s < self._start_s:
+            return
+        self._start_s = now_s + _AGAIN_S
+        self._process.kill()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(_KILLED_S)
+        self._memory.armed = False
+        try:
+            self._process = self._started()
+        except OSError as error:
+            _log.error("it cannot be started (%s); tried again every second", error)
+
+    def _started(self) -> subprocess.Popen[str]:
+        descriptors = (self._shared, self._socket.fileno())
+        process = subprocess.Popen(
+            [sys.executable, "-m", _PROCESS, *map(str, descriptors), self._robot],
+            stdin=subprocess.PIPE,
+            pass_fds=descriptors,
+            start_new_session=True,  # what kills the Robot Server's process group does not reach it
+            text=True,
+        )
+        assert process.stdin is not None  # a pipe was asked for
+        with contextlib.suppress(BrokenPipeError), process.stdin as plans:  # `ready` tells that it has ended
+            plans.write(self._plan.json())
+        return process
+
+    def _fault(self) -> str:
+        """How the process ended, or what stopped it; empty if it runs."""
+        status = self._process.returncode
+        if status is None:
+            kinds = os.WEXITED | os.WSTOPPED | os.WNOHANG | os.WNOWAIT
+            found = os.waitid(os.P_PID, self._process.pid, kinds)
+            if found is None:
+                return ""
+            if found.si_code == os.CLD_STOPPED:
+                return f"was stopped by {signal.Signals(found.si_status).name}"
+            status = found.si_status if found.si_code == os.CLD_EXITED else -found.si_status
+        return (
+            f"ended with exit status {status}"
+            if status >= 0
+            else f"was ended by {signal.Signals(-status).name}"
+        )
 
     @property
     def pid(self) -> int:
@@ -86,13 +146,9 @@ class CrashWatch:
     @property
     def detail(self) -> str:
         """The fault, for people; empty if there is none."""
-        if self._process.poll() is not None:
-            return "the process that would brake the robot if this one died has ended: restart this service"
-        return (
-            ""
-            if self._memory.armed
-            else "the process that would brake the robot if this one died is starting"
-        )
+        if self.ready:
+            return ""
+        return f"the process that brakes the robot if this one dies {self._fault() or 'is starting'}"
 
     def write(self, body: bytes | None, peer: Address, time_s: float) -> None:
         """Leave a record of the reply that is about to be sent; None: no process could continue from it."""
