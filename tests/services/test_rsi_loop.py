@@ -46,7 +46,7 @@ class Rig:
         self.krc = socket.socket(type=socket.SOCK_DGRAM)
         self.krc.settimeout(WAITS_S)
         self.krc.connect((driver.address, krc_port))
-        self.ipoc, self.step, self.now_s, self.correction = 1000, 12, 0.0, np.zeros(6)
+        self.ipoc, self.tick_s, self.now_s, self.correction = 1000, 0.012, 0.0, np.zeros(6)
 
     def cycle(self) -> bytes:
         """One telegram, read when it is there, the gate being heard; its answer, which the KRC follows."""
@@ -59,8 +59,8 @@ class Rig:
         return answer
 
     def send(self) -> None:
-        self.ipoc += self.step
-        self.now_s += 0.012
+        self.ipoc += 12
+        self.now_s += self.tick_s
         self.krc.send(telegram(self.ipoc, FR.home + self.correction))
 
     def begin(self) -> None:
@@ -86,12 +86,13 @@ def rig():
 
 
 def test_another_cycle_than_the_cells_is_logged_once_with_both_figures(rig, caplog):
-    rig.step = 4
-    rig.begin()
-    for _ in range(60):
+    rig.tick_s = 0.004
+    for _ in range(80):
         rig.cycle()
     (told,) = [message for message in caplog.messages if "the KRC ticks" in message]
-    assert told.startswith("the KRC ticks every 4.0 ms by its IPOC, the cell says 12.0 ms")
+    assert told.startswith(
+        "the KRC ticks every 12.0 ms by its IPOC and 4.0 ms by the clock, the cell says 12.0 ms"
+    )
     assert rig.server.state.reason is ReasonCode.CYCLE_MISMATCH
 
 
