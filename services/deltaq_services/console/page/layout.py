@@ -30,6 +30,7 @@ def lay_out() -> None:
         with _part("aside", "figures", "panel right").props('aria-label="Figures"'):
             pass
         _part("div", "cover", "cover")
+        _part("div", "asks", "asks").props('role="alert"')
         _part("section", "library", "library").props('aria-label="Recordings" hidden')
 
 

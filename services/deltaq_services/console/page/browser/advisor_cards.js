@@ -13,6 +13,7 @@ const TITLES = {
   force: "hand force", deformation: "deformation", dexterity: "dexterity",
 };
 const FIRST = ["travel", "obstacle_clearance", "robot_clearance", "self_clearance"]; // what options are ranked by
+const SEEN_MS = 700; // options that have just changed cannot be gone to yet: a press was meant for those before
 const KINDS = { environment: "obstacles", robots: "other robots", self: "itself" };
 
 /** A criterion's cost, 0 good to 1 bad, as a score of a hundred. */
@@ -61,7 +62,7 @@ function energy({ energy, energy_here }) {
  * @param context {live, driven, wish, ways Ways, picture WayPicture, thumbnails, views}; ask(type, fields) sends a command.
  */
 export function advisorCards({ live, driven, wish, ways, picture, thumbnails, views }, ask) {
-  const doing = el("p", { class: "doing", role: "status" });
+  const doing = el("p", { class: "doing place", role: "status" });
   const bar_ = el("progress", { max: 1 });
   const tradeOff = tradeOffChoice();
   const leave = el("input", { type: "checkbox", onchange: () => (leaves = leave.checked) });
@@ -71,6 +72,7 @@ export function advisorCards({ live, driven, wish, ways, picture, thumbnails, vi
   const list = el("ol", { class: "cards" });
   const box = el("section", { class: "advisor" }, el("h2", {}, "Options"), doing, bar_, tradeOff.box, mayLeave, el("div", { class: "row" }, again, cancel), list);
   let drawn = "";
+  let changed_ms = 0;
   let kept = new Map(); // rank -> what changes on its card
   let leaves = null; // what the operator chose and has not asked for yet; null: nothing
 
@@ -112,6 +114,8 @@ export function advisorCards({ live, driven, wish, ways, picture, thumbnails, vi
     const told = JSON.stringify([driven.name, offered]);
     if (told === drawn || wish.isActive) return;
     drawn = told;
+    changed_ms = performance.now();
+    setTimeout(show, SEEN_MS);
     kept = new Map();
     picture.show(driven.name, null);
     if (offered.length) tradeOff.offer(Object.keys(offered[0].costs));
@@ -127,17 +131,18 @@ export function advisorCards({ live, driven, wish, ways, picture, thumbnails, vi
     const cannot = live.cannotDrive(driven.name);
     const front = search?.trade_off && !search.is_busy ? `; ${frontOf(search.trade_off)}` : "";
     say(doing, search?.is_busy ? `${search.doing || "searching"}, ${search.trials} configuration${search.trials === 1 ? "" : "s"} tried` : robot.driving + front);
-    bar_.hidden = !search?.is_busy;
+    bar_.style.visibility = search?.is_busy ? "" : "hidden";
     bar_.value = search?.done ?? 0;
     if (leaves === !!search?.hands_may_leave) leaves = null;
     leave.checked = leaves ?? !!search?.hands_may_leave;
     again.disabled = cancel.disabled = leave.disabled = !!cannot || !lease.mine;
+    const isNew = performance.now() - changed_ms < SEEN_MS;
     for (const [rank, { go, progress, has }] of kept) {
       const isOn = search?.way === rank;
       if (!wish.isActive) delete go.dataset.held;
-      go.disabled = !!cannot || !has || (isOn && search.arrived);
+      go.disabled = !!cannot || !has || isNew || (isOn && search.arrived);
       say(go, !has ? "No way there" : isOn && search.arrived ? "The robot is here" : isOn && search.driven > 0 ? "Hold to continue" : "Hold to go");
-      progress.hidden = !isOn;
+      progress.style.visibility = isOn ? "" : "hidden";
       progress.value = isOn ? (search.arrived ? 1 : search.driven) : 0;
     }
   }

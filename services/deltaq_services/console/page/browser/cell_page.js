@@ -72,7 +72,7 @@ export async function showCell(holder, live, stop, look) {
   livePlots(live, scene, picture, bars);
   const actions = {
     mode() {
-      const shown = [...document.querySelectorAll("[data-mode]:not([hidden])")].map((button) => button.dataset.mode).filter((mode) => keepsGrip(mode, driven.grip));
+      const shown = [...document.querySelectorAll("[data-mode]:not([hidden])")].map((button) => button.dataset.mode).filter((mode) => mode !== "follow" && keepsGrip(mode, driven.grip));
       const next = shown[(shown.indexOf(driven.mode) + 1) % shown.length] ?? MODES[0][0];
       ask("mode", { mode: next, frame: driven.frame });
     },

@@ -11,6 +11,8 @@ import { MODES, modesOf } from "./modes.js";
 import { posePanel } from "./pose_panel.js";
 
 const TAKE_OVER_MS = 1000;
+const SEEN_MS = 700; // a banner that has just come cannot be answered yet: a press was meant for what it covers
+const FOLLOW_MS = 800; // a robot that follows moves by itself: held, so that it is meant
 
 /** What is driven now; the rest of the page reads it. */
 export class Driven extends EventTarget {
@@ -100,6 +102,25 @@ export class Driven extends EventTarget {
   }
 }
 
+/** Who asks for a robot that this page has control of: over the cell, until it is answered. */
+function requests(live, ask) {
+  const box = part("asks");
+  function show() {
+    const robots = Object.entries(live.status?.robots ?? {}).filter(([, { lease }]) => lease.mine && lease.wanted_by);
+    const told = JSON.stringify(robots.map(([name, { lease }]) => [name, lease.wanted_by]));
+    if (box.dataset.told === told) return; // a button that is pressed stays
+    box.dataset.told = told;
+    const answer = (robot, action, text, look) => {
+      const button = el("button", { class: look, disabled: true, onclick: () => ask("lease", { robot, action }) }, text);
+      setTimeout(() => (button.disabled = false), SEEN_MS);
+      return button;
+    };
+    box.replaceChildren(...robots.map(([name, { lease }]) =>
+      el("p", {}, el("span", {}, `${lease.wanted_by} asks for ${name}.`), answer(name, "grant", "Hand over", "primary"), answer(name, "refuse", "Keep it", ""))));
+  }
+  live.addEventListener("status", show);
+}
+
 /** @param context {live, scene, driven, wish, stage, views, ways, picture, thumbnails, follower}. */
 export function drivingPanel(context) {
   const { live, scene, driven, wish, follower } = context;
@@ -129,7 +150,6 @@ export function drivingPanel(context) {
   const lease = el("p", { class: "lease" });
   const buttons = {
     take: ["Take control", "primary"], ask: ["Ask for it", "primary"], release: ["Release", ""],
-    grant: ["Hand over", "primary"], refuse: ["Keep it", ""],
   };
   // against the will of a holder who cannot be asked from here: held, so that it is meant
   const takeOver = el("button", { class: "slow" }, "Hold to take over");
@@ -141,15 +161,19 @@ export function drivingPanel(context) {
   );
   const modes = el("div", { class: "modes", role: "radiogroup", "aria-label": "Mode" });
   for (const [mode, title, what] of MODES) {
-    modes.append(
-      el("button", { role: "radio", "data-mode": mode, title: what, onclick: () => ask("mode", { mode, frame: driven.frame }) }, title),
-    );
+    const button = el("button", { role: "radio", "data-mode": mode, title: what }, title);
+    const begin = () => ask("mode", { mode, frame: driven.frame });
+    if (mode === "follow") {
+      button.classList.add("slow");
+      holdsFor(button, FOLLOW_MS, begin);
+    } else button.addEventListener("click", begin);
+    modes.append(button);
   }
   const frames = el("div", { class: "frames", role: "radiogroup", "aria-label": "Axes of the hand" },
     ...["world", "tool"].map((frame) =>
       el("button", { role: "radio", "data-frame": frame, onclick: () => ask("mode", { mode: driven.mode ?? "coupled", frame }) }, frame)),
   );
-  const doing = el("p", { class: "doing" });
+  const doing = el("p", { class: "doing place" });
   const share = el("input", { type: "range", min: 5, max: 100, step: 5, value: 30, "aria-label": "Speed" });
   const shareText = el("output", {}, "30 %");
   share.addEventListener("input", () => driven.changeShare(share.value / 100 - driven.share));
@@ -172,8 +196,8 @@ export function drivingPanel(context) {
   const master = masterPanel(context, ask);
   const lookAt = lookAtPanel(context, ask);
   body.append(
-    el("section", { class: "card" }, phase, remedy, reset, lease, el("div", { class: "row" }, ...Object.values(verbs), takeOver), answer),
-    modeBox, hands.box, advisor.box, pose.box, zoom, lookAt.box, moveBox, master.box, signals,
+    el("section", { class: "card" }, el("div", { class: "place" }, answer, phase, remedy, lease), el("div", { class: "row" }, ...Object.values(verbs), takeOver, reset)),
+    modeBox, hands.box, moveBox, advisor.box, pose.box, zoom, lookAt.box, master.box, signals,
   );
 
   function show() {
@@ -191,13 +215,12 @@ export function drivingPanel(context) {
     const elsewhere = outside ? " It is not a browser at this console. Wait until it releases the robot, or take the robot over, which brings it to rest." : "";
     const whose = mine ? "You have control." : holder ? `${holder} has control.${elsewhere}` : "Nobody has control.";
     const me = live.hello?.client;
-    say(lease, wantedBy ? `${whose} ${wantedBy === me ? "You have asked for it." : `${wantedBy} asks for it.`}` : text ? `${whose} ${text}` : whose);
+    say(lease, wantedBy && !mine ? `${whose} ${wantedBy === me ? "You have asked for it." : `${wantedBy} asks for it.`}` : text ? `${whose} ${text}` : whose);
     verbs.take.hidden = mine || !!holder;
     verbs.ask.hidden = mine || !holder || outside || wantedBy === me;
     takeOver.hidden = mine || !outside;
     takeOver.disabled = !!locked;
     verbs.release.hidden = !mine;
-    verbs.grant.hidden = verbs.refuse.hidden = !mine || !wantedBy;
     for (const button of Object.values(verbs)) button.disabled = !!locked;
 
     const offered = modesOf(driven.scenery);
@@ -207,7 +230,7 @@ export function drivingPanel(context) {
       button.setAttribute("aria-checked", String(robot.mode === mode));
       button.disabled = !!locked || !mine;
     }
-    frames.hidden = driven.isByJoints || !(driven.isJogged || robot.mode === "pose");
+    frames.style.visibility = driven.isByJoints || !(driven.isJogged || robot.mode === "pose") ? "hidden" : ""; // its place stays
     for (const button of frames.children) {
       button.setAttribute("aria-checked", String(robot.frame === button.dataset.frame));
       button.disabled = !!locked || !mine;
@@ -257,5 +280,6 @@ export function drivingPanel(context) {
   driven.addEventListener("change", show);
   setInterval(show, 500);
   show();
+  requests(live, ask);
   return { ask, pose, hands };
 }

@@ -31,7 +31,7 @@ export function gripWords(grip, off, choice) {
 
 /** @param ask(type, fields) sends a command. */
 export function handsPanel({ live, driven, wish }, ask) {
-  const words = el("p", { class: "doing grip", role: "status" });
+  const words = el("p", { class: "doing grip place", role: "status" });
   const choices = el("div", { class: "frames", role: "radiogroup", "aria-label": "What to move" });
   const box = el("section", { class: "hands" }, el("h2", {}, "Hands"), choices, words);
   let shown = "";

@@ -19,7 +19,7 @@ export function speedOf(driven, index) {
 
 export function jogPad(live, driven, wish) {
   const pad = el("div", { class: "jog" });
-  const why = el("p", { class: "why", role: "status" });
+  const why = el("p", { class: "why place", role: "status" });
   const rows = el("div", { class: "jog-rows" });
   pad.append(rows, why);
   let shown = "";

@@ -7,7 +7,7 @@ export const MODES = [
   ["self-motion", "Self-motion", "move any joint; the hand keeps its pose"],
   ["advisor", "Advisor", "drive to an option of the advisor; the hand keeps its pose, or returns to it"],
   ["pose", "Pose", "drag the hand to a pose in the picture; the way is shown first"],
-  ["follow", "Follow", "the camera keeps the leader's hand in view"],
+  ["follow", "Follow", "hold to begin: the camera keeps the leader's hand in view"],
 ];
 
 const ARM_JOINTS = 6; // that hold one hand where it is

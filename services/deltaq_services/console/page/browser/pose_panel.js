@@ -34,7 +34,7 @@ export function posePanel({ live, driven, wish, stage, views, ways, picture }, a
     el("p", { class: "doing" }, "Drag the arrows and rings at the hand, or enter its position [mm]. Nothing moves yet."),
     tools,
     el("div", { class: "coordinates" }, ...AXES.flatMap((axis, k) => [el("label", {}, axis), fields[k]])),
-    words, share, gate, el("div", { class: "row" }, go, back),
+    el("div", { class: "row" }, go, back), words, share, gate,
   );
   let robot = "";
   let asked = { isBusy: false, isWanted: false, since: 0 };
