@@ -83,7 +83,7 @@ class CompiledProximity(ProximityEngine):
             alone,
             between,
             self._meter,
-            self._forget,
+            self.forget,
         )
         self.alone |= alone
         self.between |= between
@@ -196,7 +196,7 @@ class CompiledProximity(ProximityEngine):
         """
         listed = self._as_listed(groups)
         other = Tube(mine.points[:0], 0, 0, 0, *mine[4:]) if theirs is None else theirs
-        self._forget()
+        self.forget()
         verdict = certify(
             self._anatomy,
             self._where,
@@ -224,7 +224,7 @@ class CompiledProximity(ProximityEngine):
             told = min(told, self._measure(listed, index), key=lambda item: item[0].swept_m - item[1])
         return Division(verdict.holds, verdict.left, *told, failing)
 
-    def _forget(self) -> None:
+    def forget(self) -> None:
         """No robot counts as placed or measured."""
         self._told.clear()
         self._is_measured = False

@@ -5,9 +5,9 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Annotated
 
-from pydantic import Field, FiniteFloat
+from pydantic import Field
 
-from deltaq_protocol.messages import Count, Message
+from deltaq_protocol.messages import Count, Message, Real
 from deltaq_protocol.reasons import ReasonCode
 
 LONGEST_NAME = 64
@@ -61,7 +61,7 @@ class AuditEntry(Message):
     """
 
     time_utc: str
-    time_s: FiniteFloat
+    time_s: Real
     what: AuditKind
     outcome: AuditOutcome
     robot: str | None = None

@@ -106,9 +106,13 @@ def from_map(message_type: type[M], data: object) -> M:
         ) from error
 
 
+_NO_INCREMENT = ("finite_number", "less_than_equal", "greater_than_equal")
+"""What is wrong with an element of `dq` that is a number, as pydantic names it."""
+
+
 def _code_of(location: tuple[int | str, ...], kind: str, value: object) -> ReasonCode:
     if location and location[0] == "dq":
-        if kind == "finite_number" or (len(location) > 1 and value is None):
+        if kind in _NO_INCREMENT or (len(location) > 1 and value is None):
             return ReasonCode.NOT_FINITE
         if len(location) == 1:
             return ReasonCode.BAD_SHAPE

@@ -9,9 +9,9 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Annotated, Literal
 
-from pydantic import Field, FiniteFloat, TypeAdapter
+from pydantic import Field, TypeAdapter
 
-from deltaq_protocol.messages import Joints, JointValue, Message
+from deltaq_protocol.messages import Joints, JointValue, Message, Real
 
 WISH_S = 0.25
 """A wish ends after this time unless the next one renews it [s]."""
@@ -181,8 +181,8 @@ class Search(Message):
 class HandsOff(Message):
     """By how much hands that hold an object are off from how they took it, to one another, as measured."""
 
-    distance_m: FiniteFloat
-    angle_rad: FiniteFloat
+    distance_m: Real
+    angle_rad: Real
 
 
 class DriverReport(Message):
@@ -202,19 +202,19 @@ class DriverReport(Message):
     grip: HandGrip = "free"
     hands_off: HandsOff | None = None
     master: str = ""
-    master_scale: FiniteFloat = 1.0
+    master_scale: Real = 1.0
     limit: str = ""
     goes_through: Fraction = 1.0
     doing: str = ""
-    distance_m: FiniteFloat | None = None
-    longest_cycle_s: FiniteFloat | None = None
+    distance_m: Real | None = None
+    longest_cycle_s: Real | None = None
     search: Search | None = None
 
 
 class NearPair(Message):
     """Two bodies that are near, and their distance [m]."""
 
-    distance_m: FiniteFloat
+    distance_m: Real
     pair: tuple[str, str]
 
 
@@ -236,15 +236,15 @@ class Way(Message):
     q: Joints
     points: Annotated[tuple[Joints, ...], Field(max_length=MOST_WAY_POINTS)] = ()
     why_not: str = ""
-    energy: FiniteFloat | None = None
-    energy_here: FiniteFloat | None = None
-    costs: dict[str, FiniteFloat] = {}
+    energy: Real | None = None
+    energy_here: Real | None = None
+    costs: dict[str, Real] = {}
     near: dict[str, NearPair] = {}
     hands_leave: bool = False
-    clearance_m: FiniteFloat | None = None
+    clearance_m: Real | None = None
     pair: tuple[str, str] | None = None
     nearest_limit: str = ""
-    limit_share: FiniteFloat | None = None
+    limit_share: Real | None = None
     clear: Fraction = 1.0
     text: str = ""
     first: Annotated[tuple[JointValue, ...], Field(max_length=32)] = ()

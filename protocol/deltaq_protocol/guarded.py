@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, FiniteFloat, model_validator
+from pydantic import Field, model_validator
 
-from deltaq_protocol.messages import Count, Joints, Message, Name, NearestPair, Phase, Verdict
+from deltaq_protocol.messages import Count, Joints, Message, Name, NearestPair, Phase, Real, Verdict
 from deltaq_protocol.reasons import ReasonCode
 
 BrakeCycles = Annotated[int, Field(ge=1, le=10_000)]
@@ -39,7 +39,7 @@ class ServerState(Message):
     process: Count
     cycle: Count
     ipoc: Count
-    time_s: FiniteFloat
+    time_s: Real
     q: Joints
     q_cmd: Joints
     dq: Joints
@@ -52,7 +52,7 @@ class ServerState(Message):
     q_reset: Joints | None = None
     inputs: dict[str, bool] = {}
     outputs: dict[str, bool] = {}
-    counters: dict[str, int] = {}
+    counters: dict[str, Count] = {}
     cell: str = ""
 
     @model_validator(mode="after")
@@ -170,8 +170,8 @@ class Health(Message):
     service: Name
     healthy: bool
     detail: str = ""
-    time_s: FiniteFloat
-    counters: dict[str, int] = {}
+    time_s: Real
+    counters: dict[str, Count] = {}
     nearest: NearestPair | None = None
     fingerprint: str = ""
     contacts: tuple[Name, ...] = ()
@@ -246,7 +246,7 @@ class KeptDistance(Message):
     """A violated pair of bodies, and the distance that it has to keep until its violation has ended [m]."""
 
     pair: tuple[str, str]
-    distance_m: FiniteFloat
+    distance_m: Real
 
 
 class GateMemory(Message):

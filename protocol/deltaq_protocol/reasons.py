@@ -54,6 +54,7 @@ class ReasonCode(StrEnum):
     RSI_MODE = "rsi_mode"
     CYCLE_MISMATCH = "cycle_mismatch"
     IMPOSSIBLE_STATE = "impossible_state"
+    INTERNAL_ERROR = "internal_error"
     # why a reset was refused
     CAUSE_STANDS = "cause_stands"
     NOT_AT_REST = "not_at_rest"
@@ -69,7 +70,7 @@ EXPLANATIONS: dict[ReasonCode, str] = {
     ReasonCode.CONTACT: "while a contact is allowed, the robot moves slowly",
     ReasonCode.MALFORMED: "the message does not have the fields of its type",
     ReasonCode.BAD_SHAPE: "dq does not have one element for each joint of the robot",
-    ReasonCode.NOT_FINITE: "dq has an element that is not a finite number",
+    ReasonCode.NOT_FINITE: "dq has an element that is not a finite number, or is beyond what any joint can do",
     ReasonCode.STALE_CYCLE: "the message answers a cycle of the robot that is too old",
     ReasonCode.STALE_EPOCH: "the command is for a gate that has ended",
     ReasonCode.LINK_TOO_SLOW: "the increment was under way for longer than the cell allows",
@@ -100,6 +101,7 @@ EXPLANATIONS: dict[ReasonCode, str] = {
     ReasonCode.RSI_MODE: "the probe did not confirm that the KRC takes corrections as after RSI_ON(#ABSOLUTE)",
     ReasonCode.CYCLE_MISMATCH: "the robot's controller does not tick with the cell's cycle",
     ReasonCode.IMPOSSIBLE_STATE: "a Robot Server reported a state that the gate cannot have caused",
+    ReasonCode.INTERNAL_ERROR: "a service failed on a message, which it refused; its log has the traceback",
     ReasonCode.CAUSE_STANDS: "the cause of the hold persists",
     ReasonCode.NOT_AT_REST: "the robot has not come to rest yet",
 }

@@ -174,6 +174,11 @@ COUNTERS: tuple[Counted, ...] = (
         "impossible_states_{robot}",
         "states of this robot that the gate cannot have caused; each stops all robots",
     ),
+    Counted(
+        SIM,
+        "internal_errors",
+        "messages that were refused after an error that nobody foresaw; each holds the robot that it concerns",
+    ),
     Counted(SIM, "unknown_request", "requests for a robot that the cell does not have"),
     Counted(SIM, "forged_messages", "messages whose seal is wrong, or that were replayed"),
     Counted(

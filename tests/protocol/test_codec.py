@@ -20,13 +20,23 @@ from deltaq_protocol.codec import (
     to_line,
     unpack,
 )
-from deltaq_protocol.messages import Increment, Outcome, Phase, Reason, RobotState, ToolPose, Verdict
+from deltaq_protocol.messages import (
+    MOST,
+    MOST_OF_A_JOINT,
+    Increment,
+    Outcome,
+    Phase,
+    Reason,
+    RobotState,
+    ToolPose,
+    Verdict,
+)
 from deltaq_protocol.reasons import ReasonCode
 
 INCREMENT: dict[str, Any] = {"type": "increment", "robot": "fr", "seq": 1, "cycle": 2, "dq": [0.0] * 6}
 
-FINITE = st.floats(allow_nan=False, allow_infinity=False)
-JOINTS = st.lists(FINITE, min_size=1, max_size=32).map(tuple)
+FINITE = st.floats(-MOST, MOST)
+JOINTS = st.lists(st.floats(-MOST_OF_A_JOINT, MOST_OF_A_JOINT), min_size=1, max_size=32).map(tuple)
 COUNTS = st.integers(0, 2**63 - 1)
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
@@ -41,6 +51,8 @@ JSON = st.recursive(
         ({"dq": [math.nan] * 6}, ReasonCode.NOT_FINITE),
         ({"dq": [0.0, math.inf]}, ReasonCode.NOT_FINITE),
         ({"dq": [0.0, None]}, ReasonCode.NOT_FINITE),
+        ({"dq": [0.0, 3e304]}, ReasonCode.NOT_FINITE),
+        ({"dq": [-1e6 - 1e-9]}, ReasonCode.NOT_FINITE),
         ({"dq": []}, ReasonCode.BAD_SHAPE),
         ({"dq": [0.0] * 33}, ReasonCode.BAD_SHAPE),
         ({"dq": 0.0}, ReasonCode.BAD_SHAPE),

@@ -23,7 +23,7 @@ pytestmark = [pytest.mark.filterwarnings("ignore::RuntimeWarning"), pytest.mark.
 
 ROBOTS = st.sampled_from(["fr", "gr", "ghost"])
 NUMBERS = st.integers(0, 8) | st.sampled_from([2**31, 2**63 - 1])
-REALS = st.floats(-3, 3) | st.sampled_from([0.0, -0.0, 1e-308, 1e6, -1e12, 1e300, -1.7e308])
+REALS = st.floats(-3, 3) | st.sampled_from([0.0, -0.0, 1e-308, 5e-324, 1e6, -1e6])
 JOINTS = (
     st.sampled_from([6, 6, 9, 1, 32]).flatmap(lambda n: st.lists(REALS, min_size=n, max_size=n)).map(tuple)
 )

@@ -48,7 +48,7 @@ class Rig:
             admission, supervision = self.mail[name]
             self.mail[name] = (None, None)
             self.q[name] = server.cycle(measured, self.time_s, admission, supervision)
-            self.deliver(self.sim.on_state(server.state))
+            self.deliver(self.sim.take(server.state))
 
     def restart_server(self, robot):
         """Its process dies, and another takes its place."""
@@ -70,9 +70,7 @@ class Rig:
         cycle = self.state.cycle if cycle is None else cycle
         self.said = []
         self.deliver(
-            self.sim.on_request(
-                Request(robot=robot, cycle=cycle, lease_epoch=lease_epoch, seq=self.seq, dq=dq)
-            )
+            self.sim.take(Request(robot=robot, cycle=cycle, lease_epoch=lease_epoch, seq=self.seq, dq=dq))
         )
         return self.verdict()
 
@@ -82,7 +80,7 @@ class Rig:
 
     def command(self, **fields):
         self.said = []
-        self.deliver(self.sim.on_command(bound(self.sim, **fields)))
+        self.deliver(self.sim.take(bound(self.sim, **fields)))
         return self.reply()
 
     def reply(self):
@@ -93,7 +91,7 @@ class Rig:
         """A heartbeat of the HLI, and what the gate said upon it."""
         cycle = self.state.cycle if cycle is None else cycle
         self.said = []
-        self.deliver(self.sim.on_request(Request(robot="fr", cycle=cycle, lease_epoch=lease_epoch)))
+        self.deliver(self.sim.take(Request(robot="fr", cycle=cycle, lease_epoch=lease_epoch)))
         return self.verdict()
 
     @property

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_command.recordings import notices
 from deltaq_experiments.replay_plot import panels_of
 from deltaq_experiments.run_report.run import read_run
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import Message, NearestPair, Verdict
 from deltaq_protocol.receipts import receipt_of
@@ -26,7 +27,9 @@ from deltaq_services.outputs import ToTopic
 from deltaq_services.recorder.protobuf import recorded_schema, to_message
 from deltaq_services.recorder.reader import Recording
 from deltaq_services.recorder.replayed import replayed as as_the_console_shows
-from deltaq_services.sim.core import Sim
+from deltaq_services.sim.core import Decider, Sim
+from deltaq_services.sim.gate import Decision
+from deltaq_services.sim.tracker import Tracker
 from deltaq_verification.recorded import virtual_cell
 from deltaq_verification.replay import Replay, differing_fields, replay
 
@@ -357,3 +360,36 @@ def test_a_damaged_recording_ends_every_reader_with_a_line_or_not_at_all(
         for read in readers:
             with contextlib.suppress(DeltaqError):
                 read(damaged)
+
+
+class FailingOnce:
+    """A gate that fails on one decision."""
+
+    def __init__(self, gate: Decider, number: int) -> None:
+        self._gate, self._left = gate, number
+
+    def decide(self, robot: Tracker, others: Sequence[Tracker], request: Array) -> Decision:
+        self._left -= 1
+        if self._left == 0:
+            raise ZeroDivisionError("nobody foresaw it")
+        return self._gate.decide(robot, others, request)
+
+
+def test_an_error_that_the_replay_does_not_meet_is_told_and_the_replay_goes_on_behind_it(
+    tmp_path: Path,
+) -> None:
+    with virtual_cell("lab", record=tmp_path / "failed.mcap") as stack:
+        stack.run_until_ready()
+        stack.acquire("fr", "driver")
+        stack.sim.gate = FailingOnce(stack.sim.gate, 10)
+        for cycle in range(60):
+            stack.cycle()
+            stack.ask("fr", np.full(6, 1e-4))
+            if cycle == 30:
+                stack.reset("fr")
+    assert stack.sim.counters["internal_errors"] == 1
+    assert stack.sim.counters["admitted"] > 20
+    told = replay(tmp_path / "failed.mcap")
+    assert len({difference.number for difference in told.differences}) == 1
+    assert "internal_error" in "".join(map(str, told.differences))
+    assert (told.skipped, told.broken_receipts, told.gaps) == (0, [], [])

@@ -69,7 +69,7 @@ class RecordedCell(VirtualCell):
         outputs = super().gate_takes(message)
         answered = [(output.topic, output.message) for output in outputs]
         self.writer.gate_took(_TAKEN[type(message)], message, answered, self.sim.taken, self.time_ns)
-        if memory_is_due(self.sim.taken):
+        if memory_is_due(self.sim):
             self.writer.gate_remembers(self.sim.snapshot(), self.time_ns)
         return outputs
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from deltaq_protocol.messages.base import (
     LINE_VERSIONS,
+    MOST,
+    MOST_OF_A_JOINT,
     PROTOCOL_VERSION,
     Count,
     Joints,
@@ -16,6 +18,7 @@ from deltaq_protocol.messages.base import (
     Name,
     PoseRows,
     Quaternion,
+    Real,
     Row,
     Secret,
     Vector3,
@@ -80,7 +83,9 @@ from deltaq_protocol.messages.view import (
 
 __all__ = [
     "LINE_VERSIONS",
+    "MOST",
     "MOST_EARLIER",
+    "MOST_OF_A_JOINT",
     "PROTOCOL_VERSION",
     "CameraDistance",
     "CarriedFrame",
@@ -115,6 +120,7 @@ __all__ = [
     "PoseRows",
     "Proximity",
     "Quaternion",
+    "Real",
     "Reason",
     "ResetRequest",
     "RobotKinematics",

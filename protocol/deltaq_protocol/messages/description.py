@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, FiniteFloat
+from pydantic import Field
 
-from deltaq_protocol.messages.base import PROTOCOL_VERSION, Joints, Message, PoseRows, Secret, Vector3
+from deltaq_protocol.messages.base import PROTOCOL_VERSION, Joints, Message, PoseRows, Real, Secret, Vector3
 
 
 class Hello(Message):
@@ -48,7 +48,7 @@ class Welcome(Message):
     type: Literal["welcome"] = "welcome"
     protocol: int = PROTOCOL_VERSION
     cell: str
-    cycle_s: FiniteFloat
+    cycle_s: Real
     robots: dict[str, RobotSummary]
     identity: str = ""
 
@@ -95,7 +95,7 @@ class Description(Message):
     type: Literal["description"] = "description"
     protocol: int = PROTOCOL_VERSION
     cell: str
-    cycle_s: FiniteFloat
+    cycle_s: Real
     robots: dict[str, RobotSummary]
     yaml: str
     urdf: dict[str, str]

@@ -5,9 +5,9 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Literal
 
-from pydantic import Field, FiniteFloat
+from pydantic import Field
 
-from deltaq_protocol.messages.base import Message, Name, Secret
+from deltaq_protocol.messages.base import Message, Name, Real, Secret
 from deltaq_protocol.reasons import ReasonCode
 
 
@@ -49,6 +49,6 @@ class LeaseReply(Message):
     robot: Name
     granted: bool
     holder: str | None = None
-    expires_s: FiniteFloat | None = None
+    expires_s: Real | None = None
     lease: Secret = None
     code: ReasonCode | None = None

@@ -5,9 +5,9 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Annotated, Literal
 
-from pydantic import Field, FiniteFloat
+from pydantic import Field
 
-from deltaq_protocol.messages.base import Count, Joints, Message, Name, Quaternion, Secret, Vector3
+from deltaq_protocol.messages.base import Count, Joints, Message, Name, Quaternion, Real, Secret, Vector3
 from deltaq_protocol.messages.view import Sight, ViewTarget, ViewWish
 from deltaq_protocol.reasons import ReasonCode
 
@@ -42,8 +42,8 @@ class Reason(Message):
 
     code: ReasonCode
     what: str = ""
-    value: FiniteFloat | None = None
-    bound: FiniteFloat | None = None
+    value: Real | None = None
+    bound: Real | None = None
 
 
 class ToolPose(Message):
@@ -91,7 +91,7 @@ class RobotState(Message):
     robot: Name
     cycle: Count
     ipoc: Count
-    time_s: FiniteFloat
+    time_s: Real
     q: Joints
     q_cmd: Joints
     tool: ToolPose
@@ -159,10 +159,10 @@ class Verdict(Message):
     seq: Count
     outcome: Outcome
     setpoint_cycle: Count | None = None
-    scale: FiniteFloat = 0.0
-    dq: tuple[FiniteFloat, ...] = ()
-    time_to_stop_s: FiniteFloat | None = None
+    scale: Real = 0.0
+    dq: tuple[Real, ...] = ()
+    time_to_stop_s: Real | None = None
     reasons: tuple[Reason, ...] = ()
-    clearance_m: FiniteFloat | None = None
+    clearance_m: Real | None = None
     pair: tuple[str, str] | None = None
     receipt: str | None = None

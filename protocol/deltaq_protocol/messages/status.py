@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import FiniteFloat
-
-from deltaq_protocol.messages.base import PROTOCOL_VERSION, Count, Message, Vector3
+from deltaq_protocol.messages.base import PROTOCOL_VERSION, Count, Message, Real, Vector3
 from deltaq_protocol.messages.motion import Phase
 from deltaq_protocol.reasons import ReasonCode
 
@@ -15,7 +13,7 @@ class NearestPair(Message):
     """Two bodies, their distance and the witness points in world coordinates [m]."""
 
     pair: tuple[str, str]
-    distance_m: FiniteFloat
+    distance_m: Real
     points_m: tuple[Vector3, Vector3]
 
 
@@ -23,7 +21,7 @@ class Proximity(Message):
     """The nearest pairs of the cell, nearest first; published at a reduced rate."""
 
     type: Literal["proximity"] = "proximity"
-    time_s: FiniteFloat
+    time_s: Real
     pairs: tuple[NearestPair, ...]
 
 
@@ -31,7 +29,7 @@ class LeaseStatus(Message):
     """The holder of a robot's lease."""
 
     holder: str | None = None
-    expires_s: FiniteFloat | None = None
+    expires_s: Real | None = None
     epoch: Count = 0
 
 
@@ -41,10 +39,10 @@ class RobotStatus(Message):
     phase: Phase
     reason: ReasonCode | None
     cycle: Count
-    state_age_s: FiniteFloat | None
-    q: tuple[FiniteFloat, ...]
+    state_age_s: Real | None
+    q: tuple[Real, ...]
     lease: LeaseStatus
-    counters: dict[str, int]
+    counters: dict[str, Count]
 
 
 class Status(Message):
@@ -59,11 +57,11 @@ class Status(Message):
     cell: str
     protocol: int = PROTOCOL_VERSION
     robots: dict[str, RobotStatus]
-    gate: dict[str, int]
-    gate_age_s: FiniteFloat | None
+    gate: dict[str, Count]
+    gate_age_s: Real | None
     gate_fingerprint: str = ""
     contacts: tuple[str, ...] = ()
-    hli: dict[str, int]
+    hli: dict[str, Count]
     nearest: NearestPair | None = None
     lagging: tuple[str, ...] = ()
     identity: str = ""

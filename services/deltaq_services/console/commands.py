@@ -10,7 +10,7 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Annotated, Literal
 
-from pydantic import Field, FiniteFloat, TypeAdapter
+from pydantic import Field, TypeAdapter
 
 from deltaq_protocol.driving import (
     Axes,
@@ -21,7 +21,7 @@ from deltaq_protocol.driving import (
     QuaternionPart,
     TradeOff,
 )
-from deltaq_protocol.messages import Joints, JointValue, Message, Name
+from deltaq_protocol.messages import Joints, JointValue, Message, Name, Real
 from deltaq_protocol.messages.view import MOST_TARGETS
 
 MAX_MESSAGE_BYTES = 4096
@@ -57,7 +57,7 @@ class ConsoleCommand(Message):
     """Base of what a browser sends."""
 
     id: CommandId
-    sent_ms: FiniteFloat
+    sent_ms: Real
 
 
 class Ping(ConsoleCommand):
@@ -71,7 +71,7 @@ class Stop(ConsoleCommand):
 
     type: Literal["stop"]
     id: Annotated[str, Field(max_length=64)] = ""
-    sent_ms: FiniteFloat = 0.0
+    sent_ms: Real = 0.0
 
 
 class Reset(ConsoleCommand):

@@ -5,10 +5,10 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Annotated, Literal
 
-from pydantic import Field, FiniteFloat
+from pydantic import Field
 
 from deltaq_protocol.driving import Axes, DrivingMode, Fraction, HandGrip, HandsOff, Search, Way
-from deltaq_protocol.messages import Count, Message, Outcome, Phase, Sight
+from deltaq_protocol.messages import Count, Message, Outcome, Phase, Real, Sight
 from deltaq_protocol.reasons import ReasonCode
 
 SignalState = Annotated[str, Field(min_length=1, max_length=64)]
@@ -26,7 +26,7 @@ class ConsoleHello(Message):
     client: str
     operator: bool
     token_needed: bool
-    server_ms: FiniteFloat
+    server_ms: Real
 
 
 class Pong(Message):
@@ -34,8 +34,8 @@ class Pong(Message):
 
     type: Literal["pong"] = "pong"
     id: str
-    sent_ms: FiniteFloat
-    server_ms: FiniteFloat
+    sent_ms: Real
+    server_ms: Real
 
 
 class AckOutcome(StrEnum):
@@ -55,7 +55,7 @@ class Ack(Message):
     outcome: AckOutcome
     text: str = ""
     verdict: Outcome | None = None
-    scale: FiniteFloat | None = None
+    scale: Real | None = None
     pair: tuple[str, str] | None = None
 
 
@@ -111,10 +111,10 @@ class RobotStatusView(Message):
     grip: HandGrip = "free"
     hands_off: HandsOff | None = None
     master: str = ""
-    master_scale: FiniteFloat = 1.0
+    master_scale: Real = 1.0
     driving: str = ""
     goes_through: Fraction = 1.0
-    view_distance_m: FiniteFloat | None = None
+    view_distance_m: Real | None = None
     sight: Sight | None = None
     looks_at: str = ""
     targets: tuple[str, ...] = ()
@@ -140,7 +140,7 @@ class RecordingView(Message):
     """
 
     file: str = ""
-    since_s: FiniteFloat | None = None
+    since_s: Real | None = None
     text: str = ""
 
 
@@ -165,7 +165,7 @@ class ConsoleEvent(Message):
     """A line of the log; `count` is how often it has come since it was sent last."""
 
     type: Literal["event"] = "event"
-    time_s: FiniteFloat
+    time_s: Real
     kind: Literal["verdict", "lease", "stop", "phase", "link", "client", "recording", "view"]
     robot: str = ""
     text: str

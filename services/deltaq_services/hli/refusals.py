@@ -8,7 +8,7 @@ from typing import Any
 
 from deltaq_cell.description import RobotDescription
 from deltaq_protocol import topics
-from deltaq_protocol.messages import Outcome, Reason, Verdict
+from deltaq_protocol.messages import MOST, MOST_OF_A_JOINT, Outcome, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.outputs import Output, Sender, ToSender, ToTopic
 
@@ -65,7 +65,8 @@ def at_fault(dq: object, robot: RobotDescription, code: ReasonCode) -> Reason:
         code: what the codec found.
 
     Returns:
-        For a wrong length, both lengths; for an element that is not finite, the joint's name.
+        For a wrong length, both lengths; for an element that is not finite, the joint's name; for one that is too
+        large, its value and bound too.
     """
     joints = robot.joint_names
     if not isinstance(dq, list):
@@ -75,4 +76,7 @@ def at_fault(dq: object, robot: RobotDescription, code: ReasonCode) -> Reason:
     for joint, element in zip(joints, dq, strict=True):
         if element is None or (isinstance(element, float) and not math.isfinite(element)):
             return Reason(code=code, what=joint)
+        if isinstance(element, int | float) and abs(element) > MOST_OF_A_JOINT:
+            value = float(max(-MOST, min(element, MOST)))
+            return Reason(code=code, what=joint, value=value, bound=MOST_OF_A_JOINT)
     return Reason(code=code, what="dq")

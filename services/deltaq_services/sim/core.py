@@ -29,8 +29,9 @@ from deltaq_protocol.guarded import (
 )
 from deltaq_protocol.identity import CellIdentity, mismatch
 from deltaq_protocol.messages import Message, NearestPair, Outcome, Reason, Verdict
-from deltaq_protocol.reasons import ReasonCode
+from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 from deltaq_protocol.receipts import first_receipt, with_receipt
+from deltaq_services.containment import Containment
 from deltaq_services.outputs import ToTopic
 from deltaq_services.phases import MAY_MOVE
 from deltaq_services.sim.answers import nearest_pair, reply, verdict_of
@@ -65,6 +66,7 @@ class Sim:
         violations: the pairs that are too near now, and the distances that they have to keep.
         taken: messages taken so far.
         disbelieved: the last that a robot told and this gate cannot have caused, for people; empty if none has.
+        containment: of errors that nobody foresaw.
     """
 
     def __init__(self, cell: CellModel, epoch: int) -> None:
@@ -94,16 +96,61 @@ class Sim:
         )
         self._sequence = 0
         self._command_order = CommandOrder()
+        shared = (self, self.contacts, self.violations, self._command_order)
+        parts = [*shared, *(part for robot in self.robots.values() for part in robot.parts)]
+        self.containment = Containment(lambda: parts)
 
     def take(self, message: Message) -> list[ToTopic]:
-        """Take a state, a request or a command; their order determines every decision."""
-        if isinstance(message, ServerState):
-            return self.on_state(message)
-        if isinstance(message, Request):
-            return self.on_request(message)
-        if isinstance(message, Command):
+        """Take a state, a request or a command; their order determines every decision.
+
+        A message that an error nobody foresaw comes of is refused, as if it had been lost on its way, and the robot
+        that it concerns is held.
+
+        Raises:
+            TypeError: for a message of a type that is not sent here.
+        """
+        if not isinstance(message, ServerState | Request | Command):
+            raise TypeError(f"the gate takes states, requests and commands, got a {type(message).__name__}")
+        self.containment.remember()
+        try:
+            if isinstance(message, ServerState):
+                return self.on_state(message)
+            if isinstance(message, Request):
+                return self.on_request(message)
             return self.on_command(message)
-        raise TypeError(f"the gate takes states, requests and commands, got a {type(message).__name__}")
+        except Exception as error:  # none may end the gate, and with it every robot's motion
+            self.containment.put_back(error)
+            return self._failed(message)
+
+    def _failed(self, message: ServerState | Request | Command) -> list[ToTopic]:
+        """Refuse a message that made no difference, and hold the robot that it concerns."""
+        self.taken += 1
+        self.counters["internal_errors"] += 1
+        self._proximity.forget()
+        self.contacts.allow(self.contacts.allowed)
+        outputs = []
+        refused = [message] if isinstance(message, Request) and message.dq is not None else []
+        for robot in self.concerned(message):
+            robot.orders.stop(ReasonCode.INTERNAL_ERROR)
+            waiting = robot.inbox.forget()  # it may be what failed, and would again
+            refused += [] if waiting is None else [waiting]
+            if isinstance(message, ServerState) and robot.tracker.state is not None:
+                outputs.append(self._order(robot, message.cycle))
+        if isinstance(message, Command):
+            self._command_order.passed(message)
+            text = EXPLANATIONS[ReasonCode.INTERNAL_ERROR]
+            outputs.append(reply(message.id, ReasonCode.INTERNAL_ERROR, text))
+        return outputs + [self._refuse(each, Reason(code=ReasonCode.INTERNAL_ERROR)) for each in refused]
+
+    def hold_all(self) -> None:
+        """Order all robots to stop: an error befell what sends the orders."""
+        self.counters["internal_errors"] += 1
+        for robot in self.robots.values():
+            robot.orders.stop(ReasonCode.INTERNAL_ERROR)
+
+    def concerned(self, message: ServerState | Request | Command) -> list[GatedRobot]:
+        """The robots that a message is for: all, if it names none."""
+        return [robot for name, robot in self.robots.items() if message.robot in (None, name)]
 
     def on_state(self, state: ServerState) -> list[ToTopic]:
         """A Robot Server published its state."""
@@ -156,7 +203,7 @@ class Sim:
     def on_command(self, command: Command) -> list[ToTopic]:
         """The HLI passed on a stop, a reset, digital outputs, a dry run or a change of contacts."""
         self.taken += 1
-        robots = [robot for name, robot in self.robots.items() if command.robot in (None, name)]
+        robots = self.concerned(command)
         if not robots:
             return [reply(command.id, ReasonCode.UNKNOWN_ROBOT, f"no robot {command.robot!r} here")]
         if command.kind != "stop":
@@ -301,16 +348,20 @@ class Sim:
         if state.cell != self._cell:
             self.counters[f"states_of_another_cell_{robot.name}"] += 1
             robot.orders.stop(ReasonCode.CELL_MISMATCH)
+        return [self._order(robot, state.cycle)]
+
+    def _order(self, robot: GatedRobot, cycle: int) -> ToTopic:
+        """The standing orders to a robot, in a cycle of it."""
         message = Supervision(
             robot=robot.name,
             epoch=self.epoch,
-            cycle=state.cycle,
+            cycle=cycle,
             stop=robot.orders.standing_stop,
             resets=robot.orders.resets,
             outputs=robot.orders.outputs,
             cell=self._cell,
         )
-        return [ToTopic(topics.SUPERVISION, robot.name, message)]
+        return ToTopic(topics.SUPERVISION, robot.name, message)
 
     def _answered(self, robot: GatedRobot) -> list[ToTopic]:
         stops = [

@@ -18,11 +18,15 @@ from deltaq_protocol.topic import Messages, Topic
 from deltaq_services.sim.core import Sim
 
 
-def memory_is_due(taken: int) -> bool:
-    """Whether a memory follows the message of this number: where a replay can begin, or go on after a gap."""
+def memory_is_due(sim: Sim) -> bool:
+    """Whether a memory follows the newest message: where a replay can begin, or go on after a gap.
+
+    One follows each message that was refused after an error: a replay that meets no such error tells the difference,
+    and goes on from there.
+    """
     rate = topics.GATE_MEMORY.rate
     assert isinstance(rate, Messages)  # that is how the table counts them
-    return taken % rate.messages == 0
+    return sim.containment.failed or sim.taken % rate.messages == 0
 
 
 class GateLog:
@@ -44,6 +48,10 @@ class GateLog:
         if began and self._listened_to:
             self._memories.put(pack(self._sim.snapshot()))
 
+    def begin_anew(self) -> None:
+        """Give listeners a snapshot when they are looked for next: not only messages have changed the gate."""
+        self._listened_to = False
+
     def took(self, topic: Topic, payload: bytes, outputs: Sequence[tuple[str, bytes]]) -> None:
         """The gate took a message and published its outputs, all as msgpack."""
         if not self._listened_to:
@@ -53,7 +61,7 @@ class GateLog:
             epoch=sim.epoch, number=sim.taken, topic=topic.name, payload=payload, outputs=tuple(outputs)
         )
         self._entries.put(pack(entry))
-        if memory_is_due(sim.taken):
+        if memory_is_due(sim):
             self._memories.put(pack(sim.snapshot()))
 
 

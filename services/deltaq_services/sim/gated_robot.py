@@ -46,6 +46,11 @@ class GatedRobot:
         self.longest_gap_cycles = _GAP * math.ceil(gate.gate_timeout_s / cycle_s)
         self.dry_run_cycle = -1
 
+    @property
+    def parts(self) -> tuple[object, ...]:
+        """The objects that change."""
+        return self, self.tracker, self.orders, self.inbox
+
     def snapshot(self) -> RobotMemory:
         """Snapshot for `restore`."""
         return RobotMemory(

@@ -14,7 +14,7 @@ from deltaq_cell.description import RobotDescription
 from deltaq_cell.kernel.motion import keeps_limits
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles
-from deltaq_protocol.messages import Reason
+from deltaq_protocol.messages import MOST, Reason
 from deltaq_protocol.reasons import ReasonCode
 
 _SCALES = np.linspace(0.0, 1.0, 129)
@@ -39,6 +39,11 @@ def shares_within(start: Array, end: Array, low: Array, high: Array) -> Array:
 def share_within(start: Array, end: Array, low: Array, high: Array) -> float:
     """How far all joints may go together, in [0, 1]."""
     return min(max(float(shares_within(start, end, low, high).min()), 0.0), 1.0)
+
+
+def _rate(change: float, over: float) -> float:
+    """`|change| / over`, at most what a message can tell."""
+    return float(min(abs(change), MOST * over) / over)
 
 
 @dataclass(frozen=True)
@@ -106,14 +111,14 @@ class Limits:
             reason = Reason(
                 code=ReasonCode.VELOCITY_LIMIT,
                 what=self.joint_names[joint],
-                value=float(abs(request[joint]) / self.cycle_s),
+                value=_rate(request[joint], self.cycle_s),
                 bound=float(self.max_dq[joint] / self.cycle_s),
             )
         else:
             reason = Reason(
                 code=ReasonCode.ACCELERATION_LIMIT,
                 what=self.joint_names[joint],
-                value=float(abs(request[joint] - last_dq[joint]) / self.cycle_s**2),
+                value=_rate(request[joint] - last_dq[joint], self.cycle_s**2),
                 bound=float(self.max_dv[joint] / self.cycle_s**2),
             )
         return max(0.0, float(scales[joint])), [reason]

@@ -91,8 +91,14 @@ class Shell:
         try:
             while True:
                 sample = self._incoming.recv()
-                self._handle(str(sample.key_expr), sample.payload.to_bytes())
-                self._say_healthy()
+                try:
+                    self._handle(str(sample.key_expr), sample.payload.to_bytes())
+                    self._say_healthy()
+                except Exception as error:  # none may end the gate; what was not sent counts as lost
+                    self.sim.containment.note(error)
+                    self.sim.hold_all()
+                    self._log.begin_anew()
+                self.sim.containment.log_once(_log)
         finally:
             self._heartbeat.close()
             self._session.close()

@@ -1,0 +1,165 @@
+"""After an error that nobody foresaw a core is what it was before the message, holds the robot, and lives."""
+
+from __future__ import annotations
+
+import logging
+
+import pytest
+from gate_rig import CELL, SMALL, Rig
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from injected import error_in_call
+
+from deltaq_protocol.messages import Outcome, Phase
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.sim.core import Sim
+
+GATE = ("deltaq_services.sim", "deltaq_cell", "deltaq_protocol.setpoint_motion", "deltaq_protocol.receipts")
+
+FIRST = 3
+"""The first call that a message causes: those before it are `take` itself, and what it is to be put back to."""
+
+
+class Overheard(Rig):
+    """Both robots are driven and stopped, and each message is noted with what the gate was before it."""
+
+    def __init__(self):
+        self.heard = []
+        super().__init__()
+        self.sim.take = self.noted
+        for number in range(12):
+            for robot, dq in (("fr", SMALL), ("gr", (1e-5,) * 9)):
+                cycle = self.servers[robot].state.cycle
+                self.request(dq=dq, robot=robot, cycle=cycle, seq=2 * number)
+                self.request(dq=dq, robot=robot, cycle=cycle, seq=2 * number + 1)
+            if number == 4:
+                self.command(kind="dry_run", robot="fr", dq=SMALL)
+                self.command(kind="contact", contact="gripper_on_valves", allowed=True)
+                self.command(kind="io", robot="gr", outputs={"gripper": True})
+            if number == 6:
+                self.command(kind="stop", robot="gr")
+            if number == 9:
+                self.command(kind="reset", robot="gr")
+            self.cycle()
+        del self.sim.take
+
+    def noted(self, message):
+        self.heard.append((self.sim.snapshot(), message))
+        return Sim.take(self.sim, message)
+
+
+@pytest.fixture(scope="module")
+def overheard():
+    return Overheard()
+
+
+@pytest.fixture(scope="module")
+def twin():
+    return Sim(CELL, epoch=5)
+
+
+def said(outputs):
+    return [(output.topic.name, output.message.model_dump_json()) for output in outputs]
+
+
+@given(data=st.data())
+def test_wherever_a_gate_fails_it_is_as_one_that_did_not_begin_with_the_message(overheard, twin, data):
+    """Two gates fail on a message, one before it has begun; from there on both say the same, to the bit."""
+    number = data.draw(st.integers(0, len(overheard.heard) - 6))
+    before, message = overheard.heard[number]
+    sim = overheard.sim
+    twin.restore(before)
+    with error_in_call(None, *GATE) as calls:
+        twin.take(message)
+    share = data.draw(st.floats(0, 1))
+    for gate, call in ((sim, FIRST + int(share * (calls.count - FIRST))), (twin, FIRST)):
+        gate.restore(before)
+        with error_in_call(call, *GATE) as made:
+            gate.take(message)
+        assume(made.count >= call)  # what was placed already takes fewer
+        assert gate.containment.failed
+    assert twin.snapshot() == sim.snapshot()
+    for _, later in overheard.heard[number + 1 : number + 6]:
+        assert said(sim.take(later)) == said(twin.take(later))
+    assert twin.snapshot() == sim.snapshot()
+
+
+class Failing:
+    """A gate that fails on one robot."""
+
+    def __init__(self, gate, robot="fr"):
+        self._gate, self._robot = gate, robot
+
+    def decide(self, robot, others, request):
+        if robot.name == self._robot:
+            raise ZeroDivisionError("nobody foresaw it")
+        return self._gate.decide(robot, others, request)
+
+
+@pytest.fixture
+def rig():
+    return Rig()
+
+
+def drive(rig, robot, dq):
+    return rig.request(dq=dq, robot=robot, cycle=rig.servers[robot].state.cycle)
+
+
+def test_a_gate_that_fails_on_one_robot_holds_it_and_drives_the_other_on(rig):
+    for _ in range(5):
+        drive(rig, "fr", SMALL), drive(rig, "gr", SMALL + (0.0,) * 3)
+        rig.cycle()
+    assert rig.state.phase is Phase.ENGAGED
+    sound, rig.sim.gate = rig.sim.gate, Failing(rig.sim.gate)
+    verdict = drive(rig, "fr", SMALL)
+    assert (verdict.outcome, verdict.reasons[0].code) == (Outcome.REFUSED, ReasonCode.INTERNAL_ERROR)
+    for _ in range(5):
+        assert drive(rig, "gr", SMALL + (0.0,) * 3).outcome is Outcome.ADMITTED
+        rig.cycle()
+    assert (rig.state.phase, rig.state.reason) == (Phase.HELD, ReasonCode.INTERNAL_ERROR)
+    assert rig.servers["gr"].state.phase is Phase.ENGAGED
+    assert rig.sim.counters["internal_errors"] == 1
+    rig.sim.gate = sound
+    for _ in range(10):
+        rig.cycle()
+    rig.command(kind="reset", robot="fr")
+    rig.cycle(), rig.cycle()
+    assert rig.state.phase is Phase.READY
+    assert drive(rig, "fr", SMALL).outcome is Outcome.ADMITTED
+
+
+def test_a_dry_run_that_fails_is_refused_and_holds_its_robot_alone(rig):
+    rig.sim.gate = Failing(rig.sim.gate)
+    reply = rig.command(kind="dry_run", robot="fr", dq=SMALL)
+    assert (reply.accepted, reply.code) == (False, ReasonCode.INTERNAL_ERROR)
+    rig.cycle(), rig.cycle()
+    assert (rig.state.phase, rig.state.reason) == (Phase.HELD, ReasonCode.INTERNAL_ERROR)
+    assert rig.servers["gr"].state.phase is Phase.READY
+
+
+def test_a_robot_whose_every_state_fails_is_told_to_stop_all_the_same(rig, monkeypatch):
+    monkeypatch.setattr(rig.sim.robots["fr"].tracker, "observe", lambda _: 1 / 0)
+    for _ in range(3):
+        rig.cycle()
+    assert (rig.state.phase, rig.state.reason) == (Phase.HELD, ReasonCode.INTERNAL_ERROR)
+    assert rig.servers["gr"].state.phase is Phase.READY
+
+
+def test_a_stop_that_fails_stops(rig, monkeypatch):
+    monkeypatch.setattr(rig.sim.robots["gr"].orders, "answer_when_stopped", lambda _: 1 / 0)
+    assert rig.command(kind="stop").code is ReasonCode.INTERNAL_ERROR
+    rig.cycle(), rig.cycle()
+    assert [server.state.phase for server in rig.servers.values()] == [Phase.HELD, Phase.HELD]
+
+
+def test_a_traceback_is_logged_once_for_each_place_that_fails(rig, caplog):
+    rig.sim.gate = Failing(rig.sim.gate)
+    log = logging.getLogger("test")
+    for _ in range(3):
+        rig.cycle()
+        rig.command(kind="dry_run", robot="fr", dq=SMALL)
+        rig.sim.containment.log_once(log)
+        rig.sim.robots["fr"].orders.standing_stop = None
+    assert len(caplog.records) == 1
+    assert "ZeroDivisionError: nobody foresaw it" in caplog.text
+    assert "in decide\n" in caplog.text
