@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import signal
 import subprocess
@@ -40,18 +41,44 @@ class Exited:
     status: int
 
 
+class Lifeline:
+    """A pipe to one process, which the kernel sends SIGTERM once nobody holds the writing end any more.
+
+    Attributes:
+        writer: the writing end; the launcher has it, its warden, and whichever services the process shall outlive.
+    """
+
+    def __init__(self) -> None:
+        self.reader, self.writer = os.pipe()
+
+    def end_with(self, pid: int) -> None:
+        """Have that process, which has inherited the reading end, sent the signal; give up the reading end here."""
+        fcntl.fcntl(self.reader, fcntl.F_SETSIG, signal.SIGTERM)
+        fcntl.fcntl(self.reader, fcntl.F_SETOWN, pid)
+        fcntl.fcntl(self.reader, fcntl.F_SETFL, fcntl.fcntl(self.reader, fcntl.F_GETFL) | os.O_ASYNC)
+        os.close(self.reader)
+
+    def close(self) -> None:
+        """Give up the writing end here."""
+        os.close(self.writer)
+
+
 def start_with_lines(
-    command: Sequence[str], environment: Mapping[str, str] | None = None
+    command: Sequence[str],
+    environment: Mapping[str, str] | None = None,
+    pass_fds: Sequence[int] = (),
 ) -> subprocess.Popen[str]:
     """Start a process in a session of its own, whose output can be read line by line as it comes.
 
     Args:
         command: program and arguments.
         environment: what its environment has besides this process's own.
+        pass_fds: descriptors that it inherits.
     """
     return subprocess.Popen(
         command,
         stdin=subprocess.DEVNULL,
+        pass_fds=pass_fds,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         start_new_session=True,
@@ -65,7 +92,7 @@ class Child:
     """A running child process.
 
     It is the leader of its own session, so Ctrl-C on the terminal reaches the launcher alone, which then ends
-    its children in order. Should the launcher itself be killed, its warden does.
+    its children in order. Should the launcher itself be killed, its warden does; should both be, its lifeline does.
     """
 
     def __init__(
@@ -76,6 +103,8 @@ class Child:
         on_line: Callable[[str, str], None],
         environment: Mapping[str, str] | None = None,
         is_ordinary: bool = False,
+        lifeline: Lifeline | None = None,
+        outlived_by: Sequence[Lifeline] = (),
     ) -> None:
         """Start it.
 
@@ -86,13 +115,18 @@ class Child:
             on_line: called from a thread of this child with its name and each line of its output.
             environment: what its environment has besides this process's own.
             is_ordinary: it does not run ahead of ordinary programs.
+            lifeline: its own, closed when it has ended.
+            outlived_by: lifelines of others that it holds, too, while it runs.
         """
+        self.lifeline = lifeline or Lifeline()
         self.name = name
         self.lines: deque[str] = deque(maxlen=KEPT_LINES)
         self.exited = threading.Event()
         self._on_event = on_event
         self._on_line = on_line
-        self._process = start_with_lines(command, environment)
+        inherits = [self.lifeline.reader, *(each.writer for each in outlived_by)]
+        self._process = start_with_lines(command, environment, inherits)
+        self.lifeline.end_with(self._process.pid)
         assert self._process.stdout is not None  # a pipe was asked for
         self.pid = self._process.pid
         self.output = self._process.stdout.fileno()
@@ -140,6 +174,7 @@ class Child:
 
     def _wait(self) -> None:
         status = self._process.wait()
+        self.lifeline.close()
         # its own children may hold the pipe open for longer than it lives
         self._reader.join(timeout=1.0)
         self.exited.set()

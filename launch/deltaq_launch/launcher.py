@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from types import FrameType, TracebackType
 from typing import Any, Self
 
-from deltaq_launch.child_process import Child, Exited, Ready
+from deltaq_launch.child_process import Child, Exited, Lifeline, Ready
 from deltaq_launch.errors import LaunchError, LaunchInterruptedError
 from deltaq_launch.given_tokens import ConsoleToken, console_needs_token, controllers_token
 from deltaq_launch.launch_key import LaunchKey
@@ -93,6 +93,7 @@ class Launcher:
         self._events: queue.SimpleQueue[LauncherEvent] = queue.SimpleQueue()
         self._handlers: dict[signal.Signals, Any] = {}
         self._warden: Warden | None = None
+        self._lifelines: dict[str, Lifeline] = {}
         self._keys: dict[str, LaunchKey] = {}
         self.console_token: ConsoleToken | None = None
 
@@ -219,6 +220,8 @@ class Launcher:
                 waiting.remove(service)
                 pending.add(service.name)
                 command = [*self._python, *service.arguments]
+                # an emulated robot is braked by its Robot Server, and ends after it
+                emulated = [s.name for s in services if s.role is Role.EMULATOR and service.name in s.needs]
                 child = Child(
                     service.name,
                     command,
@@ -226,8 +229,11 @@ class Launcher:
                     self._on_line,
                     environment=self._secrets_of(service),
                     is_ordinary=service.role is Role.CONSOLE,
+                    lifeline=self._lifelines.pop(service.name, None),
+                    outlived_by=[self._lifelines.setdefault(name, Lifeline()) for name in emulated],
                 )
-                self._warden.keep(child.pid, child.output, brakes=service.role in BRAKING_ROLES)
+                held = (child.output, child.lifeline.writer)
+                self._warden.keep(child.pid, *held, brakes=service.role in BRAKING_ROLES)
                 self.children[service.name] = child
             match self.wait(max(0.0, deadline - time.monotonic())):
                 case Ready(name):

@@ -4,7 +4,8 @@ The launcher passes each process that it starts on to a small process of its own
 launcher ends, however it ends, the kernel closes the socket. The warden then terminates what decides and commands;
 Robot Servers hear no gate any more and run their brakes out; then it terminates those and what they speak to.
 
-The warden also holds the reading ends of their output: a Robot Server whose output broke would end in mid-brake.
+The warden also holds the reading ends of their output: a Robot Server whose output broke would end in mid-brake. If it
+is killed with the launcher, the lifelines of the services break, which ends them as SIGTERM does; see `Lifeline`.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ GRACE_S = 5.0
 """How long a process may take to end by itself."""
 
 _MESSAGE_BYTES = 64
+_MOST_HELD = 4
 
 
 class Warden:
@@ -52,16 +54,16 @@ class Warden:
     ) -> None:
         self.close()
 
-    def keep(self, pid: int, output: int, *, brakes: bool = False) -> None:
+    def keep(self, pid: int, *held: int, brakes: bool = False) -> None:
         """Have a process ended after this one.
 
         Args:
             pid: of the process, the leader of its group.
-            output: file descriptor that its output is read from.
+            held: descriptors that the warden holds for it: where its output is read from, and of its lifeline.
             brakes: a robot may need it to come to rest.
         """
         with contextlib.suppress(OSError):  # a warden that was killed is missed only if the launcher is, too
-            socket.send_fds(self._socket, [f"{pid} {int(brakes)}".encode()], [output])
+            socket.send_fds(self._socket, [f"{pid} {int(brakes)}".encode()], held)
 
     def close(self) -> None:
         """End the warden; what still runs of what it keeps, it ends."""
@@ -75,7 +77,7 @@ class _Kept:
 
     pid: int
     descriptor: int
-    output: int
+    held: tuple[int, ...]
     brakes: bool
 
     def runs(self) -> bool:
@@ -87,8 +89,8 @@ class _Kept:
                 os.killpg(self.pid, number)
 
     def close(self) -> None:
-        os.close(self.descriptor)
-        os.close(self.output)
+        for number in (self.descriptor, *self.held):
+            os.close(number)
 
 
 def main() -> int:
@@ -96,16 +98,17 @@ def main() -> int:
     kept: list[_Kept] = []
     with socket.socket(fileno=sys.stdin.fileno()) as launcher:
         while True:
-            message, outputs, _, _ = socket.recv_fds(launcher, _MESSAGE_BYTES, 1)
+            message, held, _, _ = socket.recv_fds(launcher, _MESSAGE_BYTES, _MOST_HELD)
             if not message:
                 break
             pid, brakes = map(int, message.split())
             try:
                 descriptor = os.pidfd_open(pid)
             except ProcessLookupError:
-                os.close(outputs[0])
+                for number in held:
+                    os.close(number)
                 continue  # it has ended since
-            kept.append(_Kept(pid, descriptor, outputs[0], bool(brakes)))
+            kept.append(_Kept(pid, descriptor, tuple(held), bool(brakes)))
             for ended in [each for each in kept if not each.runs()]:
                 ended.close()
                 kept.remove(ended)

@@ -247,19 +247,23 @@ def test_the_last_json_line_of_a_service_is_found_among_others() -> None:
 
 
 @pytest.mark.long
-def test_no_service_outlives_a_launcher_that_is_killed() -> None:
+@pytest.mark.parametrize("with_warden", [True, False])
+def test_no_service_outlives_a_launcher_that_is_killed_alone_or_with_its_warden(with_warden: bool) -> None:
     program = textwrap.dedent(f"""
         from deltaq_launch.launcher import Launcher
         from deltaq_launch.services import Role, Service
         with Launcher([Service("sim", Role.SIM, ("-c", {SERVES!r}))], lambda *line: None) as launcher:
             launcher.start()
-            print(launcher.children["sim"].pid, flush=True)
+            print(launcher.children["sim"].pid, launcher._warden._process.pid, flush=True)
             launcher.wait()
     """)
     with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        pid = int(process.stdout.readline())
+        pid, warden = map(int, process.stdout.readline().split())
         watched = os.pidfd_open(pid)
+        if with_warden:
+            os.kill(warden, signal.SIGKILL)
+            assert not select.select([watched], [], [], 0.2)[0], "a warden that is killed alone ends nothing"
         process.kill()
     try:
         with os.fdopen(watched) as ended:
