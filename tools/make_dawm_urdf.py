@@ -122,18 +122,18 @@ def side(name: str, y: float) -> str:
     arm_base = at(PITCH_LINK, rpy="3.141592653589793 -1.5707963267948966 0")
     rows = [
         joint(f"{name}_yaw", "torso", f"{name}_yaw_link", at(0, y), "0 0 1", (-90, 90, 30)),
-        link(f"{name}_yaw_link", Cylinder("x", 0, YAW_LINK, 0.08, "yellow", 40).xml()),
+        link(f"{name}_yaw_link", Cylinder("x", 0, 0.38, 0.08, "yellow", 40).xml()),
         # positive lifts, as in the arm
         joint(
             f"{name}_pitch", f"{name}_yaw_link", f"{name}_pitch_link", at(YAW_LINK), "0 -1 0", (-60, 60, 30)
         ),
-        link(f"{name}_pitch_link", Cylinder("x", 0, 0.17, 0.06, "yellow", 20).xml()),
+        link(f"{name}_pitch_link", Cylinder("x", 0, 0.13, 0.06, "yellow", 20).xml()),
         joint(f"{name}_1", f"{name}_pitch_link", f"{name}_link_1", arm_base, "-1 0 0", (-120, 120, 60)),
         link(f"{name}_link_1", Cylinder("z", -0.02, AZIMUTH, 0.055, "black", 12).xml()),
         joint(f"{name}_2", f"{name}_link_1", f"{name}_link_2", at(z=AZIMUTH), "0 1 0", (-30, 90, 60)),
-        link(f"{name}_link_2", Cylinder("z", 0.07, 0.77, 0.06, "steel", 30).xml()),
+        link(f"{name}_link_2", Cylinder("z", 0.07, 0.69, 0.06, "steel", 30).xml()),
         joint(f"{name}_3", f"{name}_link_2", f"{name}_link_3", at(z=UPPER_ARM), "0 1 0", (-135, 135, 70)),
-        link(f"{name}_link_3", Cylinder("z", 0.07, 0.42, 0.05, "steel", 18).xml()),
+        link(f"{name}_link_3", Cylinder("z", -0.05, 0.42, 0.05, "steel", 18).xml()),
         joint(f"{name}_4", f"{name}_link_3", f"{name}_link_4", at(z=FOREARM), "0 1 0", (-90, 90, 90)),
         link(f"{name}_link_4", Cylinder("z", 0.04, 0.12, 0.045, "black", 8).xml()),
         joint(f"{name}_5", f"{name}_link_4", f"{name}_link_5", at(z=WRIST), "1 0 0", (-90, 90, 90)),

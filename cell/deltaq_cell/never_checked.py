@@ -8,7 +8,8 @@ sample proves nothing about the configurations between the samples.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from enum import StrEnum
 from itertools import combinations, product
 from typing import Any, TypeAlias
@@ -29,6 +30,12 @@ SAMPLES = 1000
 MOST_ALWAYS_TOUCHING = (3, 0.25)
 """As many pairs as the first, and a greater share of those that could be checked than the second, are no robot's; of
 public robots at most 9 % always touch."""
+
+PLACES = 121
+"""Positions of a joint, limits included, at which the bodies that it joins are measured."""
+
+NOTICED_M = 0.001
+"""Bodies that one joint joins overlap or are apart by more than this, or they touch all along, as hinges do."""
 
 
 class Why(StrEnum):
@@ -98,6 +105,66 @@ def joined_pairs(model: Any, bodies: Sequence[Any]) -> dict[Pair, Why]:
         elif int(model.parents[high]) == low:
             found[ordered(first.name, second.name)] = Why.ADJACENT
     return found
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """Two bodies that one joint joins, and that overlap at some of its positions only.
+
+    Attributes:
+        pair: their names.
+        joint: index of the joint.
+        ranges: positions of the joint at which they overlap, from and to [rad or m].
+        depth_m: the greatest overlap.
+    """
+
+    pair: Pair
+    joint: int
+    ranges: tuple[tuple[float, float], ...]
+    depth_m: float
+
+
+def overlaps_in_part(
+    model: Any, bodies: Sequence[Any], home: Array, lower: Array, upper: Array
+) -> Iterator[Overlap]:
+    """Bodies that one joint joins, which the gate presumes safe, and that overlap at some of its positions only.
+
+    Args:
+        model: pinocchio's, in which the bodies are.
+        bodies: pinocchio geometry objects of one robot.
+        home: (n,) configuration of the other joints.
+        lower: (n,) limits of the joints.
+        upper: likewise.
+    """
+    carried = {body.name: int(body.parentJoint) for body in bodies}
+    adjacent = [pair for pair, why in joined_pairs(model, bodies).items() if why is Why.ADJACENT]
+    for joint in range(len(home)):
+        pairs = [pair for pair in adjacent if max(carried[name] for name in pair) == joint + 1]
+        places = np.linspace(lower[joint], upper[joint], PLACES)
+        configurations = np.tile(home, (PLACES, 1))
+        configurations[:, joint] = places
+        for pair, apart in zip(pairs, distances(model, bodies, pairs, configurations).T, strict=True):
+            if apart.min() < -NOTICED_M and apart.max() > NOTICED_M:
+                edges = np.flatnonzero(np.diff(np.concatenate([[False], apart < 0.0, [False]]).astype(int)))
+                ranges = tuple((float(places[a]), float(places[b - 1])) for a, b in edges.reshape(-1, 2))
+                yield Overlap(pair, joint, ranges, float(-apart.min()))
+
+
+def distances(
+    model: Any, bodies: Sequence[Any], pairs: Sequence[Pair], configurations: Iterable[Array]
+) -> Array:
+    """(configurations, pairs) distances of pairs of bodies, negative where they overlap [m]."""
+    geometry = pin.GeometryModel()
+    index = {body.name: geometry.addGeometryObject(body) for body in bodies}
+    for first, second in pairs:
+        geometry.addCollisionPair(pin.CollisionPair(index[first], index[second]))
+    data, geometry_data = model.createData(), geometry.createData()
+    make_reproducible(geometry_data)
+    rows = []
+    for q in configurations:
+        pin.updateGeometryPlacements(model, data, geometry, geometry_data, q)
+        rows.append([pin.computeDistance(geometry, geometry_data, k).min_distance for k in range(len(pairs))])
+    return np.array(rows)
 
 
 def farthest_apart(

@@ -95,8 +95,10 @@ def parse_geometry(
     text = ElementTree.tostring(tree, encoding="unicode")
     try:
         geometry_model = pin.buildGeomFromUrdfString(model, text, kind)
-    except ValueError as error:
-        raise RobotModelError(f"{urdf.source}: its bodies cannot be read: {error}", ("model",)) from None
+    except (ValueError, RuntimeError) as error:
+        raise RobotModelError(
+            f"{urdf.source}: its bodies cannot be read: {_line(error)}", ("model",)
+        ) from None
     joints, q = _locks(urdf, model, locked)
     if joints:
         _, geometry_model = pin.buildReducedModel(model, geometry_model, joints, q)
@@ -118,8 +120,13 @@ def _built(urdf: Urdf, tree: ElementTree.Element) -> Any:
             limit.set("upper", f"{UNLIMITED:g}")
     try:
         return pin.buildModelFromXML(ElementTree.tostring(tree, encoding="unicode"))
-    except ValueError as error:
-        raise RobotModelError(f"{urdf.source}: not a URDF model: {error}", ("model",)) from None
+    except (ValueError, RuntimeError) as error:
+        raise RobotModelError(f"{urdf.source}: not a URDF model: {_line(error)}", ("model",)) from None
+
+
+def _line(error: Exception) -> str:
+    """The last line that pinocchio or coal says; those before it name files and functions of theirs."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[-1].removeprefix("message: ")
 
 
 def _locks(urdf: Urdf, model: Any, locked: Mapping[str, float]) -> tuple[list[int], Any]:
@@ -278,7 +285,7 @@ def _find(urdf: Urdf, link: ElementTree.Element, mesh: ElementTree.Element) -> N
     if path.suffix.lower() == ".dae":
         try:
             unit = collada_unit(path)
-        except (OSError, ValueError, expat.ExpatError) as error:
+        except (OSError, ValueError, LookupError, expat.ExpatError) as error:
             raise RobotModelError(f"{what}: mesh {path} cannot be read: {error}", ("model",)) from None
         if unit != 1.0:
             scale = _numbers(urdf, what, mesh, "scale", 3, 1.0)
@@ -291,6 +298,7 @@ def collada_unit(path: Path) -> float:
     Raises:
         OSError: it cannot be read.
         ExpatError: it is no XML.
+        LookupError: its encoding is unknown.
         ValueError: the unit is not a positive number.
     """
     inside: list[str] = []

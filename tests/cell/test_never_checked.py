@@ -144,3 +144,28 @@ def test_a_name_that_is_none_is_an_error_at_its_place(tmp_path: Path) -> None:
     (problem,) = check_cell(written(tmp_path, 0.05, "    never_checked:\n    - [one, tree]\n")).problems
     assert (problem.field, problem.suggestion) == ("robots.r.never_checked.0.1", "three")
     assert problem.line == len(CELL.splitlines()) + 2
+
+
+def test_bodies_that_a_joint_brings_together_are_a_warning_with_range_and_depth(tmp_path: Path) -> None:
+    # two balls on either side of a hinge, 0.24 m from it, meet where it is folded
+    def link(name: str, x: float) -> str:
+        ball = BALL.format(radius=0.1).replace("<collision>", f'<collision><origin xyz="{x} 0 0"/>')
+        return f'<link name="{name}">{ball}</link>'
+
+    def joint(name: str, parent: str, child: str, x: float) -> str:
+        return (
+            f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/><axis xyz="0 0 1"/>'
+            f'<origin xyz="{x} 0 0"/><limit lower="-3" upper="3" velocity="2" effort="1"/></joint>'
+        )
+
+    links = link("one", -2) + link("two", -0.24) + link("three", 0.24)
+    urdf = f'<robot name="t">{links}{joint("a", "one", "two", 0)}{joint("b", "two", "three", 0)}</robot>'
+    (tmp_path / "chain.urdf").write_text(urdf)
+    (tmp_path / "chain.yaml").write_text(CELL)
+    report = check_cell(tmp_path / "chain.yaml")
+    assert report.ok
+    (problem,) = report.problems
+    assert problem.field == "robots.r.joints.b"
+    # their middles are 0.48 cos(b / 2) apart: 0.2 m at 130.8 degrees, 0.124 m at 150
+    for part in ("r/three and r/two", "by up to 0.076 m", "at -150 to -132.5 and 132.5 to 150 deg"):
+        assert part in problem.message
