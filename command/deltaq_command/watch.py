@@ -50,6 +50,10 @@ def shown(answer: Status, cell: Description) -> Group:
     gate_age = "silent" if answer.gate_age_s is None else f"{answer.gate_age_s:.1f} s ago"
     lines = [f"gate ({gate_age}): {counts(answer.gate)}", f"hli: {counts(answer.hli)}"]
     lines += [f"{name}: {counts(robot.counters)}" for name, robot in answer.robots.items()]
+    for name, robot in answer.robots.items():
+        if robot.lag_s:
+            lags = ("-" if lag_s is None else f"{lag_s * 1e3:.0f}" for lag_s in robot.lag_s)
+            lines.append(f"{name}: the axes lag {' '.join(lags)} ms")
     if answer.contacts:
         lines.append(f"contacts allowed: {', '.join(answer.contacts)}")
     lines += [f"another cell: {said}" for said in answer.mismatches]

@@ -15,31 +15,10 @@ from collections import deque
 import numpy as np
 
 from deltaq_cell.description import ServoLag
+from deltaq_cell.drive_lag import transition
 from deltaq_protocol.arrays import Array
 
 _SAME = 1e-9
-
-
-def transition(duration_s: float, frequency_rad_s: float, damping: float) -> Array:
-    """(2, 2) matrix that carries (e, e') of `e'' + 2 z w e' + w^2 e = 0` over `duration_s`."""
-    t, w, z = duration_s, frequency_rad_s, damping
-    decay = math.exp(-z * w * t)
-    if abs(z - 1.0) < 1e-6:
-        cosine, sine_over_frequency = 1.0, t
-    elif z < 1.0:
-        wd = w * math.sqrt(1.0 - z * z)
-        cosine, sine_over_frequency = math.cos(wd * t), math.sin(wd * t) / wd
-    else:
-        wd = w * math.sqrt(z * z - 1.0)
-        # cosh and sinh times the decay, without overflow for a damping far above 1
-        slow, fast = math.exp((wd - z * w) * t), math.exp(-(wd + z * w) * t)
-        decay, cosine, sine_over_frequency = 1.0, (slow + fast) / 2.0, (slow - fast) / (2.0 * wd)
-    return decay * np.array(
-        [
-            [cosine + z * w * sine_over_frequency, sine_over_frequency],
-            [-w * w * sine_over_frequency, cosine - z * w * sine_over_frequency],
-        ]
-    )
 
 
 class Servo:

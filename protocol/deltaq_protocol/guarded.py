@@ -31,8 +31,9 @@ class ServerState(Message):
     earlier holds and resets. `q_cmd` and `dq` are the setpoint just sent and its increment. `q_reset` of a held robot
     is the setpoint that the KRC has in a session that began after the hold; a reset adopts it. `sequence` is the
     admission that the robot follows in gate epoch `epoch` (0 and 0: none yet). `cell` is the identity of the cell that
-    the Robot Server has read; the gate holds a robot whose server has read another cell. All arrays have the robot's n
-    joints.
+    the Robot Server has read; the gate holds a robot whose server has read another cell. `lag_s` is the measured lag of
+    each axis, from a setpoint's sending until all but a twentieth of a step has been measured, and null where it is not
+    known; empty before it is measured. All other arrays have the robot's n joints.
     """
 
     robot: Name
@@ -54,6 +55,7 @@ class ServerState(Message):
     outputs: dict[str, bool] = {}
     counters: dict[str, Count] = {}
     cell: str = ""
+    lag_s: tuple[Real | None, ...] = ()
 
     @model_validator(mode="after")
     def _has_n_joints_everywhere(self) -> Self:

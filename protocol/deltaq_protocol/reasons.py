@@ -53,6 +53,7 @@ class ReasonCode(StrEnum):
     TRACKING_ERROR = "tracking_error"
     RSI_MODE = "rsi_mode"
     CYCLE_MISMATCH = "cycle_mismatch"
+    DRIVE_LAG = "drive_lag"
     IMPOSSIBLE_STATE = "impossible_state"
     INTERNAL_ERROR = "internal_error"
     # why a reset was refused
@@ -100,6 +101,7 @@ EXPLANATIONS: dict[ReasonCode, str] = {
     ReasonCode.TRACKING_ERROR: "the robot left its commanded path",
     ReasonCode.RSI_MODE: "the probe did not confirm that the KRC takes corrections as after RSI_ON(#ABSOLUTE)",
     ReasonCode.CYCLE_MISMATCH: "the robot's controller does not tick with the cell's cycle",
+    ReasonCode.DRIVE_LAG: "the drives were measured to lag more than the cell's gate.servo_lag_s",
     ReasonCode.IMPOSSIBLE_STATE: "a Robot Server reported a state that the gate cannot have caused",
     ReasonCode.INTERNAL_ERROR: "a service failed on a message, which it refused; its log has the traceback",
     ReasonCode.CAUSE_STANDS: "the cause of the hold persists",

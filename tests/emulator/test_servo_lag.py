@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deltaq_cell.description import ServoLag
-from deltaq_emulator.servo import Servo, transition
+from deltaq_cell.drive_lag import transition
+from deltaq_emulator.servo import Servo
 
 T = 0.004
 

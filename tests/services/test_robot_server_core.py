@@ -20,7 +20,7 @@ EPOCH = 7
 STEP = FR.max_acceleration * CELL.cycle_s**2
 GATE_TIMEOUT = math.ceil(CELL.gate.gate_timeout_s / CELL.cycle_s)
 IDENTITY = str(content_identity(CELL))
-PROBE_CYCLES = 27
+PROBE_CYCLES = 65
 """What is left of a trial after a session's first cycle."""
 KRC_TIMEOUT = math.ceil(CELL.gate.krc_timeout_s / CELL.cycle_s)
 

@@ -112,9 +112,10 @@ def test_a_snapshot_leaves_out_nothing_but_what_is_fixed_and_what_is_counted():
     server = RobotServer(CELL, "fr", process=1)
     assert set(vars(server)) == remembered | fixed
     probe = ModeProbe(FR, CELL.cycle_s, 6, FR.home)
-    fixed = {"_joints", "_size", "_window", "_course", "trial_cycles"}
+    fixed = {"_joints", "_size", "_trial", "_presumed_window", "_presumed_s", "_cycle_s", "_course", "trial_cycles"}
     remembered = {f"_{name}" for name in ("q_start", "offset", "adrift_cycles", "ended", "ipoc", "ipoc_step")}
-    assert set(vars(probe)) == remembered | {"mode", "unseen", "_cycle", "_samples", "_void"} | fixed
+    remembered |= {"mode", "unseen", "_cycle", "_samples", "_cycles", "_void", "lags", "lag_s", "_lagging"}
+    assert set(vars(probe)) == remembered | fixed
 
 
 def test_a_driver_and_its_peer_leave_out_nothing_either():

@@ -32,9 +32,9 @@ def furthest(stack, robot, cycles):
 @pytest.mark.parametrize("cell", ["lab", "lab-4ms"])
 def test_a_relative_krc_is_refused_before_any_motion_and_put_back(monkeypatch, cell):
     stack = cell_with(monkeypatch, cell, correction="relative")
-    half_a_second = round(0.5 / stack.cell.description.cycle_s)
+    a_second = round(1.0 / stack.cell.description.cycle_s)
     starts = {name: arm.krc.sample.q for name, arm in stack.arms.items()}
-    off = furthest(stack, "gr", half_a_second)
+    off = furthest(stack, "gr", a_second)
     assert (off[:3] < 0.035e-3).all()
     assert (off[3:] < np.deg2rad(0.035)).all()
     for name, arm in stack.arms.items():
@@ -52,7 +52,7 @@ def test_a_relative_krc_is_refused_before_any_motion_and_put_back(monkeypatch, c
 def test_a_program_that_is_put_right_and_started_again_may_be_reset(monkeypatch):
     stack = cell_with(monkeypatch, correction="relative")
     arm = stack.arms["fr"]
-    for _ in range(50):
+    for _ in range(80):
         stack.cycle()
     stack.reset("fr")
     arm.krc.stop()
@@ -71,11 +71,11 @@ def test_a_program_that_is_put_right_and_started_again_may_be_reset(monkeypatch)
 
 
 @pytest.mark.parametrize("cell", ["lab", "lab-4ms"])
-def test_an_absolute_krc_is_ready_well_within_half_a_second_and_nowhere_else(monkeypatch, cell):
+def test_an_absolute_krc_is_ready_within_a_second_and_nowhere_else(monkeypatch, cell):
     stack = cell_with(monkeypatch, cell)
     start = stack.arms["gr"].krc.sample.q
     stack.run_until_ready()
-    assert stack.now_s < 0.45
+    assert stack.now_s < 1.0
     np.testing.assert_allclose(stack.arms["gr"].krc.sample.q, start, atol=1e-6)
 
 
@@ -87,7 +87,7 @@ def test_a_krc_in_t1_is_probed_until_its_motion_is_confirmed(monkeypatch):
     assert arm.server.state.phase is Phase.OFFLINE
     assert arm.server.detail.startswith("a1, a2, a3, a4, a5, a6 did not follow a probe")
     arm.krc.confirm()
-    for _ in range(100):
+    for _ in range(150):
         stack.cycle()
     assert (arm.server.state.phase, arm.server.detail) == (Phase.READY, "")
 

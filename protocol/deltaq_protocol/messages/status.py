@@ -34,7 +34,7 @@ class LeaseStatus(Message):
 
 
 class RobotStatus(Message):
-    """One robot as `deltaq status` shows it."""
+    """One robot as `deltaq status` shows it; `lag_s` is the measured lag of each axis, null where it is not known."""
 
     phase: Phase
     reason: ReasonCode | None
@@ -43,6 +43,7 @@ class RobotStatus(Message):
     q: tuple[Real, ...]
     lease: LeaseStatus
     counters: dict[str, Count]
+    lag_s: tuple[Real | None, ...] = ()
 
 
 class Status(Message):

@@ -336,4 +336,5 @@ class HliCore:
                 epoch=lease.epoch if lease else 0,
             ),
             counters=state.counters if state else {},
+            lag_s=state.lag_s if state else (),
         )

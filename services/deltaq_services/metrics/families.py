@@ -84,6 +84,17 @@ def _of_robots(robots: Mapping[str, RobotStatus]) -> Iterator[Metric]:
         [((name,), float(robot.lease.holder is not None)) for name, robot in robots.items()],
     )
     yield _gauge(
+        "deltaq_drive_lag_seconds",
+        "Measured lag of an axis, counted from 1, until a setpoint has arrived",
+        ("robot", "axis"),
+        [
+            ((name, str(axis)), lag_s)
+            for name, robot in robots.items()
+            for axis, lag_s in enumerate(robot.lag_s, start=1)
+            if lag_s is not None
+        ],
+    )
+    yield _gauge(
         "deltaq_state_age_seconds",
         "Age of the newest state at the HLI",
         ("robot",),

@@ -263,8 +263,8 @@ class RobotServer:
         if self._cycle > 0:
             self.counters["session_restarted"] += 1
             self._stop(ReasonCode.KRC_LOST)
-            if self._reason in (ReasonCode.RSI_MODE, ReasonCode.CYCLE_MISMATCH):
-                self._reason = ReasonCode.KRC_LOST  # that was the mode or the cycle of the session before
+            if self._reason in (ReasonCode.RSI_MODE, ReasonCode.DRIVE_LAG, ReasonCode.CYCLE_MISMATCH):
+                self._reason = ReasonCode.KRC_LOST  # that was found out in the session before
         if self._phase is Phase.OFFLINE:
             self._motion = replace(self._motion, q_cmd=q_start.copy())
         else:
@@ -294,7 +294,7 @@ class RobotServer:
             return  # a probe in another cycle would tell nothing
         known = self._mode.mode
         self._mode.cycle(measured.q, measured.ipoc, measured.missed_last)
-        if self._mode.refused and known is Mode.UNKNOWN:
+        if self._mode.mode in (Mode.RELATIVE, Mode.ADRIFT) and known is Mode.UNKNOWN:
             self.counters["modes_refused"] += 1
         if self._mode.mode is Mode.ADRIFT:
             self._end_motion()
@@ -308,7 +308,7 @@ class RobotServer:
             return ReasonCode.CYCLE_MISMATCH
         if not self.guarded:
             return ReasonCode.CRASH_BRAKE_LOST
-        return ReasonCode.RSI_MODE if self._mode.bars else None
+        return self._mode.reason if self._mode.bars else None
 
     def _supervise(self, supervision: Supervision | None, measured: Measurement) -> None:
         if supervision is None:
@@ -324,7 +324,7 @@ class RobotServer:
         if measured.cycle_fault:
             refused: ReasonCode | None = ReasonCode.CYCLE_MISMATCH
         else:
-            refused = ReasonCode.RSI_MODE if self._mode.refused else None
+            refused = self._mode.reason if self._mode.refused else None
         known = self._mode.known and measured.cycle_known
         if self._phase is Phase.OFFLINE and self.guarded and (known or refused is not None):
             self._epoch = supervision.epoch
@@ -419,4 +419,5 @@ class RobotServer:
             outputs=self.outputs,
             counters=dict(self.counters),
             cell=self._identity,
+            lag_s=self._mode.lag_s,
         )

@@ -1,4 +1,5 @@
-"""Finds out, before the first motion of a session, whether the KRC takes corrections as offsets or adds them up.
+"""Finds out, before the first motion of a session, whether the KRC takes corrections as offsets or adds them up, and
+how far its drives lag.
 
 One trial follows the other (`deltaq_services.robot_server.probe_trial`), until one of them tells. All that a trial adds
 sums up to zero, so it is undone whatever the KRC does with it, and no joint gets further than `PROBE_RAD` or `PROBE_M`.
@@ -6,13 +7,23 @@ sums up to zero, so it is undone whatever the KRC does with it, and no joint get
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from deltaq_cell.description import RobotDescription, RsiDescription
+from deltaq_cell.drive_lag import LONGEST_S, AxisLag, lag_fault
 from deltaq_protocol.arrays import Array
-from deltaq_services.robot_server.probe_trial import AT_REST, Mode, joint_modes, pulse_sums, triangle
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.robot_server.probe_trial import (
+    Mode,
+    Trial,
+    joint_lags,
+    joint_modes,
+    pulse_sums,
+    triangle,
+)
 
 ADRIFT = 3.0
 """A joint this many times a pulse's sum away from where the session began is moving by itself."""
@@ -20,7 +31,7 @@ ADRIFT = 3.0
 _ADRIFT_CYCLES = 3
 """Cycles in a row in which it has to be there: a single telegram may be a forged one."""
 
-_PAUSE_WINDOWS = 4
+_PAUSE_WINDOWS = 2
 """Windows to wait after a trial that told nothing."""
 
 _IPOC_WRAP = 2**32
@@ -35,6 +46,8 @@ class ProbeMemory:
     Attributes:
         q_start: where its session began.
         samples: of the trial that is under way.
+        cycles: of each sample, counted by the KRC's stamps.
+        lagging: which axis lags more than the gate presumes, and the remedy.
     """
 
     mode: Mode
@@ -47,7 +60,10 @@ class ProbeMemory:
     ipoc_step: int
     cycle: int
     samples: tuple[tuple[float, ...], ...]
+    cycles: tuple[int, ...]
     void: bool
+    lags: tuple[AxisLag | None, ...]
+    lagging: str
 
 
 class KinematicMode:
@@ -56,6 +72,8 @@ class KinematicMode:
     mode = Mode.ABSOLUTE
     known = idle = True
     refused = bars = False
+    reason = ReasonCode.RSI_MODE
+    lag_s: tuple[float | None, ...] = ()
     detail = ""
 
     def cycle(self, q: Array, ipoc: int, missed_last: bool) -> None:
@@ -64,6 +82,9 @@ class KinematicMode:
     def added_to(self, setpoint: Array) -> Array:
         """The setpoint, unchanged."""
         return setpoint
+
+    def lags_too_long(self, fault: str) -> None:
+        """Does nothing: such a robot is where it was sent."""
 
     def end(self) -> None:
         """Does nothing: there is no pulse to undo."""
@@ -81,12 +102,14 @@ class ModeProbe:
     Args:
         robot: its joints.
         cycle_s: sample time.
-        lag_cycles: cycles within which the drives are where they were sent.
+        lag_cycles: cycles within which the gate presumes the drives to be where they were sent.
         q: (n,) measured where the session begins, at rest [rad or m].
 
     Attributes:
         mode: what was found out; it stays what it is once it is not unknown.
         unseen: names of the joints that did not follow the last trial; empty before the first has ended.
+        lags: of each joint; None where the trial did not tell, none before the mode is known.
+        lag_s: (n,) the settled ones of them, to the millisecond.
         trial_cycles: telegrams of a trial; with the last of them it is judged.
     """
 
@@ -95,10 +118,12 @@ class ModeProbe:
         self.unseen: tuple[str, ...] = ()
         self._joints = robot.joint_names
         self._size = pulse_sums(robot)
+        self._cycle_s, self._presumed_s = cycle_s, lag_cycles * cycle_s
         pulse = triangle(self._size, robot.max_acceleration * cycle_s**2)
-        settling = np.zeros(lag_cycles + AT_REST)
-        self._window = len(pulse) + len(settling)
-        self._course = np.concatenate([np.zeros(AT_REST), pulse, settling, -pulse, settling, [0.0]])
+        self._trial = Trial.of(len(pulse), max(lag_cycles, math.ceil(LONGEST_S / cycle_s)), cycle_s)
+        self._presumed_window = Trial.of(len(pulse), lag_cycles, cycle_s).window
+        half = np.concatenate([pulse, np.zeros(self._trial.window - len(pulse))])
+        self._course = np.concatenate([np.zeros(self._trial.rest), half, -half, [0.0]])
         self.trial_cycles = len(self._course)
         self._offset = np.zeros_like(q)
         self._q_start = q
@@ -108,33 +133,42 @@ class ModeProbe:
         self._ipoc_step = _IPOC_WRAP
         self._cycle = 0
         self._samples: list[tuple[float, ...]] = []
+        self._cycles: list[int] = []
         self._void = False
+        self.lags: tuple[AxisLag | None, ...] = ()
+        self.lag_s: tuple[float | None, ...] = ()
+        self._lagging = ""
 
     @property
     def known(self) -> bool:
-        """Whether corrections are offsets, so that the robot may be driven."""
-        return self.mode is Mode.ABSOLUTE
+        """Whether corrections are offsets and the drives lag as the gate presumes, so that the robot may be driven."""
+        return self.mode is Mode.ABSOLUTE and not self._lagging
 
     @property
     def refused(self) -> bool:
-        """Whether the mode is one in which no robot is driven."""
-        return self.mode in (Mode.RELATIVE, Mode.ADRIFT)
+        """Whether no robot is driven in this session: for its mode, or for its lag."""
+        return self.mode in (Mode.RELATIVE, Mode.ADRIFT) or bool(self._lagging)
+
+    @property
+    def reason(self) -> ReasonCode:
+        """Why the robot must not be driven, if it must not."""
+        return ReasonCode.DRIVE_LAG if self._lagging else ReasonCode.RSI_MODE
 
     @property
     def bars(self) -> bool:
-        """Whether the robot must not be driven now: the mode is refused, or did not show when it was probed."""
+        """Whether the robot must not be driven now: it is refused, or its mode did not show when it was probed."""
         return self.refused or (not self.known and bool(self.unseen))
 
     @property
     def idle(self) -> bool:
         """Whether nothing is added, and nothing that was added is still to be undone."""
-        return self.mode is not Mode.UNKNOWN or self._cycle <= AT_REST
+        return self.mode is not Mode.UNKNOWN or self._cycle <= self._trial.rest
 
     @property
     def detail(self) -> str:
         """The fault and its remedy, for people; empty if there is none."""
-        if self.known:
-            return ""
+        if self.mode is Mode.ABSOLUTE:
+            return self._lagging
         if self.mode is Mode.RELATIVE:
             return f"the KRC adds corrections up, as RSI_ON(#RELATIVE) does; {_REMEDY}"
         if self.mode is Mode.ADRIFT:
@@ -142,7 +176,8 @@ class ModeProbe:
         if self.unseen:
             return (
                 f"{', '.join(self.unseen)} did not follow a probe of how the KRC takes corrections, which goes on: are "
-                "the drives on, is RSI_MOVECORR confirmed, does the KRC send four decimals?"
+                "the drives on, is RSI_MOVECORR confirmed, does the KRC send four decimals, do the drives lag less than "
+                f"{LONGEST_S * 1e3:.0f} ms?"
             )
         return "finds out how the KRC takes corrections"
 
@@ -154,7 +189,8 @@ class ModeProbe:
             ipoc: the KRC's stamp.
             missed_last: the last reply did not reach the KRC.
         """
-        lost = self._is_behind_a_gap(ipoc) or missed_last
+        passed = self._cycles_passed(ipoc)
+        lost = passed > 1 or missed_last
         if self.mode is not Mode.UNKNOWN:
             return
         if self._is_adrift(q):
@@ -166,6 +202,7 @@ class ModeProbe:
             # what did not reach the KRC in time it replaced by the value before, or by none
             self._void |= lost and bool(self._course[max(self._cycle - 2, 0) : self._cycle].any())
             self._samples.append(tuple(q.tolist()))
+            self._cycles.append(self._cycles[-1] + max(passed, 1) if self._cycles else 0)
             self._offset = self._course[self._cycle] * self._size
         self._cycle += 1
         if self._cycle == self.trial_cycles:
@@ -174,6 +211,10 @@ class ModeProbe:
     def added_to(self, setpoint: Array) -> Array:
         """What to send in this cycle instead of a setpoint (n,) [rad or m]."""
         return setpoint + self._offset if self.mode is Mode.UNKNOWN else setpoint
+
+    def lags_too_long(self, fault: str) -> None:
+        """The drives lagged more than the gate presumes while they moved: no robot is driven on in this session."""
+        self._lagging = self._lagging or fault
 
     def end(self) -> None:
         """Undo the pulse that was added, and add no further one."""
@@ -192,7 +233,10 @@ class ModeProbe:
             ipoc_step=self._ipoc_step,
             cycle=self._cycle,
             samples=tuple(self._samples),
+            cycles=tuple(self._cycles),
             void=self._void,
+            lags=self.lags,
+            lagging=self._lagging,
         )
 
     def restore(self, memory: ProbeMemory) -> None:
@@ -201,32 +245,53 @@ class ModeProbe:
         self._q_start, self._offset = np.array(memory.q_start), np.array(memory.offset)
         self._adrift_cycles, self._ended = memory.adrift_cycles, memory.ended
         self._ipoc, self._ipoc_step, self._cycle = memory.ipoc, memory.ipoc_step, memory.cycle
-        self._samples, self._void = list(memory.samples), memory.void
+        self._samples, self._cycles = list(memory.samples), list(memory.cycles)
+        self._void, self.lags, self._lagging = memory.void, memory.lags, memory.lagging
+        self.lag_s = tuple(map(_told, self.lags))
 
     def _is_adrift(self, q: Array) -> bool:
         away = bool((np.abs(q - self._q_start) > ADRIFT * self._size).any())
         self._adrift_cycles = self._adrift_cycles + 1 if away else 0
         return self._adrift_cycles >= _ADRIFT_CYCLES
 
-    def _is_behind_a_gap(self, ipoc: int) -> bool:
+    def _cycles_passed(self, ipoc: int) -> int:
+        """Cycles since the last telegram; more than one if some were lost."""
         passed = 0 if self._ipoc is None else (ipoc - self._ipoc) % _IPOC_WRAP
         self._ipoc = ipoc
         self._ipoc_step = min(self._ipoc_step, passed or _IPOC_WRAP)
-        return passed > self._ipoc_step
+        return math.ceil(passed / self._ipoc_step)
 
     def _judge(self) -> None:
         if self._void:
             self._cycle = 0
         else:
-            seen = joint_modes(np.array(self._samples) / self._size, self._window)
+            samples = np.array(self._samples) / self._size
+            seen = joint_modes(samples, self._trial, self._presumed_window)
+            if Mode.UNKNOWN in seen:
+                seen = joint_modes(samples, self._trial, self._trial.window)
             unknown = [mode is Mode.UNKNOWN for mode in seen]
             self.unseen = tuple(name for name, bad in zip(self._joints, unknown, strict=True) if bad)
             if Mode.RELATIVE in seen:
                 self.mode = Mode.RELATIVE
             elif not self.unseen:
                 self.mode = Mode.ABSOLUTE
-            self._cycle = -_PAUSE_WINDOWS * self._window
-        self._samples, self._void = [], False
+                self._measure_lags(samples)
+            self._cycle = -_PAUSE_WINDOWS * self._trial.window
+        self._samples, self._cycles, self._void = [], [], False
+
+    def _measure_lags(self, samples: Array) -> None:
+        cycles = np.array(self._cycles)
+        self.lags = tuple(joint_lags(samples, cycles, self._trial, self._cycle_s))
+        self.lag_s = tuple(map(_told, self.lags))
+        beyond_s = [
+            max(lag.least_s, min(lag.settled_s, LONGEST_S)) if lag and lag.least_s > self._presumed_s else 0.0
+            for lag in self.lags
+        ]
+        self._lagging = lag_fault(self._joints, beyond_s, self._presumed_s, self._cycle_s)
+
+
+def _told(lag: AxisLag | None) -> float | None:
+    return None if lag is None or math.isinf(lag.settled_s) else round(lag.settled_s, 3)
 
 
 def mode_of_session(

@@ -12,16 +12,21 @@ So each trial adds a short pulse to the setpoint, waits until the drives have fo
 Drives smear a pulse, but linear ones of gain one keep its area, so that it does not matter how they lag as long as they
 are done within a window. A joint that sags, or is noisy, does not do the same with its sign turned in the second half;
 such a trial tells nothing, and there is another.
+
+The area that has come in by some time after a pulse is the share of a step that has arrived by then: the same trial
+tells the lag of each joint (`deltaq_cell.drive_lag`). A pulse is some cycles long, so a lag reads long by up to half of it.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 
 from deltaq_cell.description import RobotDescription
+from deltaq_cell.drive_lag import REMAINDER, AxisLag, axis_lag
 from deltaq_protocol.arrays import Array
 
 PROBE_RAD = math.radians(0.03)
@@ -32,14 +37,17 @@ SHARE_OF_TOLERANCE = 0.1
 """Of its tracking tolerance no joint is displaced by more. A robot may be that tolerance off its path without being
 held, so the distances that the gate keeps pay for it already."""
 
-AT_REST = 3
-"""Samples at the end of a window that tell where the robot has come to rest."""
+_REST_S = 0.036
+"""How long samples before and after a response tell where the robot rests; at least three of them."""
 
 _BACK = 0.25
 """Share of a pulse's sum by which a joint that is back where it was may be off."""
 
 _SEEN = 0.5
 """Share of a pulse that has to be seen; and no more than the inverse of it."""
+
+_UNRESOLVED = 2 * REMAINDER
+"""A response that is known to no more than this share of the pulse does not tell the lag."""
 
 
 class Mode(StrEnum):
@@ -53,25 +61,53 @@ class Mode(StrEnum):
     """The robot moves though its correction rests."""
 
 
-def joint_modes(samples: Array, window: int) -> list[Mode]:
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """The cycles of a trial: rest, a pulse and its response, the negative pulse and its response.
+
+    The first value of a pulse is sent in reply to the last sample at rest, so it is measured from the next one on.
+
+    Attributes:
+        rest: samples that tell where the robot rests.
+        pulse: of a pulse.
+        window: from the beginning of one pulse to the beginning of the next.
+    """
+
+    rest: int
+    pulse: int
+    window: int
+
+    @classmethod
+    def of(cls, pulse: int, lag_cycles: int, cycle_s: float) -> Trial:
+        """A trial of drives that may lag by so much."""
+        rest = max(3, math.ceil(_REST_S / cycle_s))
+        return cls(rest, pulse, pulse + lag_cycles + rest)
+
+    @property
+    def begins(self) -> tuple[int, int]:
+        """First sample of either response."""
+        return self.rest + 1, self.rest + 1 + self.window
+
+
+def joint_modes(samples: Array, trial: Trial, within: int) -> list[Mode]:
     """The mode of the KRC that each joint's motion shows.
 
     Args:
-        samples: (3 + 2 window + 1, n) measured in each cycle of a trial, in units of the pulses' sums. The first value
-            of the pulse was sent in reply to sample 3, that of its negative a window later.
-        window: number of samples from the beginning of one pulse to the beginning of the next.
+        samples: (rest + 2 window + 1, n) measured in each cycle of a trial, in units of the pulses' sums.
+        trial: its cycles.
+        within: cycles of a window within which a response is looked for; noise hides less of it in fewer.
 
     Returns:
         n modes, UNKNOWN for a joint that agrees with neither.
     """
-    begins = (AT_REST + 1, AT_REST + 1 + window)
-    rest = [samples[end - AT_REST : end].mean(axis=0) for end in (*begins, begins[1] + window)]
-    steps = (rest[1] - rest[0], rest[1] - rest[2])
-    # above straight lines from rest to rest, so that a slow drift has no area
-    areas = [
-        sign * (samples[begin : begin + window].sum(axis=0) - window * (rest[half] + rest[half + 1]) / 2)
-        for half, (begin, sign) in enumerate(zip(begins, (1.0, -1.0), strict=True))
-    ]
+    steps, areas = [], []
+    for begin, sign in zip(trial.begins, (1.0, -1.0), strict=True):
+        end = begin + within
+        before = samples[begin - trial.rest : begin].mean(axis=0)
+        after = samples[end - trial.rest : end].mean(axis=0)
+        steps.append(sign * (after - before))
+        # above a straight line from rest to rest, so that a slow drift has no area
+        areas.append(sign * (samples[begin:end].sum(axis=0) - within * (before + after) / 2))
     adds_up = np.minimum(*steps) > _SEEN
     back = np.maximum(np.abs(steps[0]), np.abs(steps[1])) < _BACK
     follows = (np.minimum(*areas) > _SEEN) & (np.maximum(*areas) < 1 / _SEEN)
@@ -79,6 +115,41 @@ def joint_modes(samples: Array, window: int) -> list[Mode]:
         Mode.RELATIVE if relative else Mode.ABSOLUTE if absolute else Mode.UNKNOWN
         for relative, absolute in zip(adds_up, back & follows, strict=True)
     ]
+
+
+def joint_lags(samples: Array, cycles: Array, trial: Trial, cycle_s: float) -> list[AxisLag | None]:
+    """The lag of each joint of a KRC that is absolute.
+
+    Args:
+        samples: as for `joint_modes`.
+        cycles: (rest + 2 window + 1,) cycle of each sample; telegrams that were lost leave gaps, which are interpolated.
+        trial: its cycles; a step is taken to be sent in the middle of a pulse.
+        cycle_s: sample time.
+
+    Returns:
+        n lags; None for a joint whose noise, or whose telegram's decimals, hide it.
+    """
+    halves, evenly = [], np.arange(1, trial.window + 1)
+    for begin, sign in zip(trial.begins, (1.0, -1.0), strict=True):
+        seen = slice(begin - trial.rest, begin + trial.window)
+        times = cycles[seen] - cycles[begin - 1]
+        moved = np.array([np.interp(evenly, times, joint) for joint in samples[seen].T])
+        before, after = samples[seen][: trial.rest].mean(axis=0), moved[:, -trial.rest :].mean(axis=1)
+        moved -= before[:, np.newaxis] + np.outer(after - before, evenly / trial.window)
+        halves.append(sign * np.cumsum(moved, axis=1))
+    differ = np.abs(halves[0] - halves[1]).max(axis=1) / 2
+    ends = (trial.rest + 1, *(begin + trial.window for begin in trial.begins))
+    noise = np.sqrt(np.mean([samples[end - trial.rest : end].var(axis=0) for end in ends], axis=0))
+    # the mean of both halves has a quarter of the difference between first and last rest at every sample
+    sums = trial.window * math.sqrt(2.0 / trial.rest) / 4.0
+    lags: list[AxisLag | None] = []
+    for joint, arrived in enumerate((halves[0] + halves[1]) / 2):
+        decimal = float(np.diff(np.unique(samples[:, joint])).min(initial=1.0))
+        deviation = max(float(noise[joint]), decimal / math.sqrt(12.0))
+        uncertain = max(float(differ[joint]), 3.0 * deviation * sums) + decimal
+        first_s = (1.5 - trial.pulse // 2) * cycle_s  # a sample is the mean over half a cycle to either side
+        lags.append(None if uncertain > _UNRESOLVED else axis_lag(arrived, first_s, cycle_s, uncertain))
+    return lags
 
 
 def pulse_offsets(robot: RobotDescription, cycle_s: float) -> Array:

@@ -134,6 +134,11 @@ class Orders:
                 f"the KRC of {self._robot.name} does not tick with the cell's cycle; its Robot Server's status tells "
                 "both figures"
             )
+        if state.reason is ReasonCode.DRIVE_LAG:
+            lags_ms = ", ".join("-" if lag_s is None else f"{lag_s * 1e3:.0f}" for lag_s in state.lag_s)
+            return ReasonCode.CAUSE_STANDS, (
+                f"the axes of {self._robot.name} lag {lags_ms} ms, more than gate.servo_lag_s: correct the cell's file"
+            )
         if self.standing_stop is not None:
             return ReasonCode.NOT_AT_REST, f"{self._robot.name} is only now being stopped"
         if state.phase is Phase.HELD:

@@ -37,7 +37,7 @@ from deltaq_verification.virtual_cell.wiring import GUARDED_WAYS, Wiring
 
 _BEGAN_S = 1e9
 """Time of day at the beginning: epochs and ids are counted from it [s since 1970]."""
-_START_CYCLES = 100
+_START_CYCLES = 300
 _ROUNDING_S = 1e-9
 
 
