@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from deltaq_cell.description import CellDescription, RobotDescription, RsiDescription
+from deltaq_cell.drive_lag import REMAINDER, least_servo_lag_s, modelled_lag
 from deltaq_cell.find import resolve_near
 from deltaq_cell.krc_files import judge_krc_files
 from deltaq_cell.models import nearest_name
@@ -50,6 +51,7 @@ class DescriptionCheck:
         """Problems of a robot's description."""
         yield from self._references(name, robot)
         yield from self._cycle(name, robot)
+        yield from self._emulated_lag(name, robot)
         yield from self._krc_files(name, robot)
 
     def _ports(self) -> Iterator[Problem]:
@@ -142,6 +144,20 @@ class DescriptionCheck:
                 f"'{robot.driver.krc}', which is {allowed}"
             )
             yield self._at(("cycle_s",), message, self._cell.cycle_s, cycles[0])
+
+    def _emulated_lag(self, name: str, robot: RobotDescription) -> Iterator[Problem]:
+        """Emulated drives are within the gate's hull of setpoints."""
+        if not isinstance(robot.driver, RsiDescription):
+            return
+        cycle_s, presumed_s = self._cell.cycle_s, self._cell.gate.servo_lag_s
+        lag_s = modelled_lag(robot.servo_lag, cycle_s).settled_s
+        if lag_s > presumed_s:
+            least_s = least_servo_lag_s(lag_s, cycle_s)
+            message = (
+                f"{presumed_s:g} s is less than the emulated drives of {name} take for {1 - REMAINDER:.0%} of a step "
+                f"(robots.{name}.servo_lag: {lag_s:.3f} s); set at least {least_s:g}, or quicker drives"
+            )
+            yield self._at(("gate", "servo_lag_s"), message, presumed_s, least_s)
 
     def _krc_files(self, name: str, robot: RobotDescription) -> Iterator[Problem]:
         """The KRC's files can be safe and agree with the cell."""

@@ -1,8 +1,8 @@
-"""Lag of the drives of a robot: how it is defined, read from a measured response, and compared with what the gate presumes.
+"""Lag of a robot's drives: its definition, how a measured response tells it, and what the gate presumes of it.
 
-A setpoint is sent at one time, and telegrams measure later where the drives are. For linear drives the share `S(t)` of a
-step of the setpoint has arrived at the time `t` after it was sent. The gate presumes that every measured configuration
-lies in the hull of the setpoints of the last `gate.servo_lag_s`, up to the tracking tolerance. The measured one is a
+A setpoint is sent at one time, and telegrams measure later where the drives are. For linear drives the share `S(t)`
+of a step of the setpoint has arrived at the time `t` after it was sent. The gate presumes that every measured
+configuration lies in the hull of the setpoints of the last `gate.servo_lag_s`, up to the tracking tolerance. It is a
 mean of earlier setpoints, and older setpoints than those contribute the share `1 - S(servo_lag_s)`. So neither the mean
 delay nor the time to half a step tells whether the gate is right, but this does:
 
@@ -125,6 +125,8 @@ def transition(duration_s: float, frequency_rad_s: float, damping: float) -> Arr
 
 def least_servo_lag_s(settled_s: float, cycle_s: float) -> float:
     """The least `gate.servo_lag_s` for drives of that lag: whole cycles, and one to spare."""
+    if math.isinf(settled_s):
+        return math.inf
     return round((math.ceil(settled_s / cycle_s - 1e-6) + 1) * cycle_s, 6)
 
 

@@ -31,6 +31,19 @@ def test_the_shipped_cells_are_sound(name: str) -> None:
     assert all(told["never_checked"].values())
 
 
+def test_emulated_drives_that_lag_more_than_the_gate_presumes_are_an_error_for_each_robot(
+    tmp_path: Path,
+) -> None:
+    path, lines = checked(tmp_path, ("servo_lag_s: 0.072", "servo_lag_s: 0.048"))
+    for robot, problem in zip(("fr", "gr"), check_cell(path).errors, strict=True):
+        assert (problem.field, problem.value, problem.bound) == ("gate.servo_lag_s", 0.048, 0.072)
+        assert "servo_lag_s" in lines[problem.line - 1]
+        assert problem.message == (
+            f"0.048 s is less than the emulated drives of {robot} take for 95% of a step (robots.{robot}.servo_lag: "
+            "0.052 s); set at least 0.072, or quicker drives"
+        )
+
+
 # edits, field, words in the line it points at, value, bound, suggestion, part of the message
 UNSOUND = [
     ([("model: kr16\n", "model: kr61\n")], "robots.fr.model", "kr61", None, None, "kr16", "no robot model"),

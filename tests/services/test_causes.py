@@ -237,7 +237,7 @@ def test_a_ghost_that_says_it_is_held_is_found_out_by_the_next_true_state() -> N
     assert {server.state.phase for server in rig.servers.values()} == {Phase.HELD}
     # until its Robot Server is started again
     rig.restart_server("fr")
-    for _ in range(60):
+    for _ in range(80):
         rig.cycle()
     assert rig.state.phase is Phase.HELD
     counted = rig.sim.counters["impossible_states_fr"]

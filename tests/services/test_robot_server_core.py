@@ -593,6 +593,29 @@ def test_told_to_end_it_brakes_first_and_rests_when_the_drives_have_caught_up(ri
     assert rest == LAG + 1
 
 
+def test_an_axis_that_lags_too_much_in_motion_holds_the_robot_until_a_new_session(rig):
+    sent = [rig.q] * 30
+    a1 = np.eye(6)[0] * STEP
+    for count in range(1, 120):
+        rig.cycle(rig.admission(min(count, 20) * 0.1 * a1))
+        sent.append(rig.q)
+        rig.q = sent[-10]  # 120 ms, where the gate presumes 72
+        if rig.server.state.phase is Phase.HELD:
+            break
+    state = rig.server.state
+    assert (state.phase, state.reason) == (Phase.HELD, ReasonCode.DRIVE_LAG)
+    assert state.lag_s[0] > CELL.gate.servo_lag_s
+    assert "the gate presumes 72: set gate.servo_lag_s to at least 0.1" in rig.server.detail
+    while any(rig.server.state.dq):
+        rig.cycle()
+    rig.resets += 1
+    rig.q = np.array(rig.server.state.q_cmd)
+    assert rig.cycle().phase is Phase.HELD
+    rig.begin(rig.q)
+    rig.resets += 1
+    assert rig.cycle().phase is Phase.READY
+
+
 def relative(rig, cycles):
     """As many cycles of a KRC that adds corrections up; returns the phases."""
     phases = []

@@ -98,7 +98,7 @@ def test_a_snapshot_leaves_out_nothing_but_what_is_fixed_and_what_is_counted():
     remembered = {
         "process", "motion_stop", "outputs", "_cycle", "_phase", "_reason", "_motion", "_q_reset",
         "_epoch", "_resets", "_cycles_without_gate", "_cycles_missed", "_settling", "_told",
-        "_state", "_mode", "_pulses", "_admissions", "_supervision",
+        "_state", "_mode", "_lag", "_unwatched", "_pulses", "_admissions", "_supervision",
     }  # fmt: skip
     fixed = {
         "robot",
@@ -106,15 +106,25 @@ def test_a_snapshot_leaves_out_nothing_but_what_is_fixed_and_what_is_counted():
         "_identity",
         "_bounds",
         "_new_mode",
+        "_new_lag_watch",
         "_gate_timeout_cycles",
         "_krc_timeout_cycles",
     }
     server = RobotServer(CELL, "fr", process=1)
     assert set(vars(server)) == remembered | fixed
     probe = ModeProbe(FR, CELL.cycle_s, 6, FR.home)
-    fixed = {"_joints", "_size", "_trial", "_presumed_window", "_presumed_s", "_cycle_s", "_course", "trial_cycles"}
+    fixed = {
+        "_joints",
+        "_size",
+        "_trial",
+        "_presumed_window",
+        "_presumed_s",
+        "_cycle_s",
+        "_course",
+        "trial_cycles",
+    }
     remembered = {f"_{name}" for name in ("q_start", "offset", "adrift_cycles", "ended", "ipoc", "ipoc_step")}
-    remembered |= {"mode", "unseen", "_cycle", "_samples", "_cycles", "_void", "lags", "lag_s", "_lagging"}
+    remembered |= {"mode", "unseen", "_cycle", "_samples", "_cycles", "_void", "lags", "_lagging"}
     assert set(vars(probe)) == remembered | fixed
 
 

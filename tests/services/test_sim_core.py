@@ -256,7 +256,7 @@ def test_a_robot_server_that_was_started_anew_is_held_until_a_reset(rig):
     rig.request()
     rig.cycle()
     rig.restart_server("fr")
-    for _ in range(40):
+    for _ in range(80):
         rig.cycle()
     assert (rig.state.phase, rig.state.reason) == (Phase.HELD, ReasonCode.SERVER_LOST)
     assert refused(rig.request()) is ReasonCode.STOPPED

@@ -33,7 +33,7 @@ class Rig:
         self.said = []
         for _ in range(10):
             self.cycle()
-        for _ in range(30):  # their modes are found out
+        for _ in range(70):  # their modes are found out
             self.cycle()
         assert not any(server.detail for server in self.servers.values())
 

@@ -33,7 +33,7 @@ _REMEDIES = {
     ReasonCode.CYCLE_MISMATCH: "Let the KRC's program start RSI with the cell's cycle, or correct cycle_s.",
     ReasonCode.CRASH_BRAKE_LOST: "Another such process is started: reset the robot, and keep the Robot Server's log.",
     ReasonCode.RSI_MODE: "Change the KRC's program to begin RSI with RSI_ON(#ABSOLUTE), then reset it.",
-    ReasonCode.DRIVE_LAG: "Set gate.servo_lag_s of the cell as the Robot Server's status says, then start the cell again.",
+    ReasonCode.DRIVE_LAG: "Set gate.servo_lag_s as the Robot Server's detail says, then start the cell again.",
 }
 _NEAR = (ReasonCode.CLEARANCE, ReasonCode.RETREAT, ReasonCode.SLOW_DOWN)
 _OF_JOINT = {

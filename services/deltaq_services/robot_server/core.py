@@ -26,6 +26,7 @@ from deltaq_services.outputs import ToRobot
 from deltaq_services.phases import MAY_MOVE, Event, next_phase
 from deltaq_services.robot_server.admissions_due import AdmissionsDue
 from deltaq_services.robot_server.guards import Bounds, Refusal, refusal
+from deltaq_services.robot_server.lag_watch import LagWatch
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.mode_probe import KinematicMode, ModeProbe, mode_of_session
 from deltaq_services.robot_server.probe_trial import Mode
@@ -62,6 +63,10 @@ class RobotServer:
         self._settling = Settling(cell.robots[robot].tracking_tolerance, lag_cycles)
         self._new_mode = partial(mode_of_session, cell.robots[robot], cell.cycle_s, lag_cycles)
         self._mode: ModeProbe | KinematicMode = KinematicMode()
+        presumed_s = lag_cycles * cell.cycle_s
+        self._new_lag_watch = partial(LagWatch, cell.robots[robot], cell.cycle_s, presumed_s)
+        self._lag: LagWatch | None = None
+        self._unwatched: tuple[Measurement, Array] | None = None
         self._pulses = PulsesCutShort()
         self._gate_timeout_cycles = math.ceil(cell.gate.gate_timeout_s / cell.cycle_s)
         self._krc_timeout_cycles = math.ceil(cell.gate.krc_timeout_s / cell.cycle_s)
@@ -82,6 +87,7 @@ class RobotServer:
     @property
     def state(self) -> ServerState | None:
         """The state to publish after each cycle; None before the first. It is made when asked for: after the reply."""
+        self._watch_lag()
         if self._state is None and self._told is not None:
             self._state = self._publishable(*self._told)
         return self._state
@@ -144,6 +150,7 @@ class RobotServer:
         q_cmd = self._mode.added_to(self._held_at)
         if not self._mode.known:
             self._pulses.sent(q_cmd, self._held_at)
+        self._unwatched = measured, q_cmd
         return q_cmd
 
     def take(self, message: Admission | Supervision | Measurement, time_s: float) -> list[ToRobot]:
@@ -194,6 +201,7 @@ class RobotServer:
             told=self._told,
             state=self.state,
             mode=self._mode.snapshot(),
+            lag=None if self._lag is None else self._lag.snapshot(),
             pulses=self._pulses.snapshot(),
             admissions=self._admissions.snapshot(),
             supervision=self._supervision,
@@ -215,6 +223,10 @@ class RobotServer:
         if memory.mode is not None:
             self._mode = self._new_mode(np.array(memory.mode.q_start))
             self._mode.restore(memory.mode)
+        self._lag, self._unwatched = None, None
+        if memory.lag is not None:
+            self._lag = self._new_lag_watch(self._motion.q_cmd, self._mode.lags)
+            self._lag.restore(memory.lag)
         self._pulses.restore(memory.pulses)
         self._admissions.restore(memory.admissions, memory.cycle)
         self._supervision = memory.supervision
@@ -239,7 +251,7 @@ class RobotServer:
         """
         self.counters["replies_refused"] += 1
         self._stop(ReasonCode.REPLY_REFUSED)
-        if self._mode.known:
+        if self._mode.mode is Mode.ABSOLUTE:
             self._q_reset = q_sent.copy()
         else:  # what differs is the probe's, which goes on and is undone
             self._pulses.sent(q_sent, self._held_at)
@@ -273,7 +285,7 @@ class RobotServer:
         self.motion_stop = False
         self._settling = self._settling.sent(moves=True)
         self._rest()
-        self._mode = self._new_mode(q)
+        self._mode, self._lag, self._unwatched = self._new_mode(q), None, None
 
     def _watch(self, q: Array) -> None:
         """Hold a robot that is not where it was sent though it has had the time, and end its motion if it goes on."""
@@ -298,6 +310,18 @@ class RobotServer:
             self.counters["modes_refused"] += 1
         if self._mode.mode is Mode.ADRIFT:
             self._end_motion()
+        if self._mode.lags and self._lag is None:
+            self._lag = self._new_lag_watch(self._held_at, self._mode.lags)
+
+    def _watch_lag(self) -> None:
+        """Measure the lag in the last cycle: after its reply, and before its state is told."""
+        last, self._unwatched = self._unwatched, None
+        if last is None or self._lag is None:
+            return
+        measured, q_cmd = last
+        self._lag.cycle(measured.q, measured.ipoc, measured.missed_last, q_cmd)
+        if self._lag.fault:
+            self._mode.lags_too_long(self._lag.fault)
 
     def _rest(self) -> None:
         self._motion = SetpointMotion.at_rest(self._motion.q_cmd, self._motion.sequence)
@@ -419,5 +443,5 @@ class RobotServer:
             outputs=self.outputs,
             counters=dict(self.counters),
             cell=self._identity,
-            lag_s=self._mode.lag_s,
+            lag_s=() if self._lag is None else self._lag.lag_s(),
         )

@@ -1,6 +1,6 @@
-"""Finds out, before the first motion of a session, whether the KRC takes corrections as offsets or adds them up, and
-how far its drives lag.
+"""Finds out, before a session's first motion, how the KRC takes corrections, and how far its drives lag.
 
+A KRC takes them as offsets, or adds them up.
 One trial follows the other (`deltaq_services.robot_server.probe_trial`), until one of them tells. All that a trial adds
 sums up to zero, so it is undone whatever the KRC does with it, and no joint gets further than `PROBE_RAD` or `PROBE_M`.
 """
@@ -73,7 +73,7 @@ class KinematicMode:
     known = idle = True
     refused = bars = False
     reason = ReasonCode.RSI_MODE
-    lag_s: tuple[float | None, ...] = ()
+    lags: tuple[AxisLag | None, ...] = ()
     detail = ""
 
     def cycle(self, q: Array, ipoc: int, missed_last: bool) -> None:
@@ -109,7 +109,6 @@ class ModeProbe:
         mode: what was found out; it stays what it is once it is not unknown.
         unseen: names of the joints that did not follow the last trial; empty before the first has ended.
         lags: of each joint; None where the trial did not tell, none before the mode is known.
-        lag_s: (n,) the settled ones of them, to the millisecond.
         trial_cycles: telegrams of a trial; with the last of them it is judged.
     """
 
@@ -136,7 +135,6 @@ class ModeProbe:
         self._cycles: list[int] = []
         self._void = False
         self.lags: tuple[AxisLag | None, ...] = ()
-        self.lag_s: tuple[float | None, ...] = ()
         self._lagging = ""
 
     @property
@@ -176,8 +174,8 @@ class ModeProbe:
         if self.unseen:
             return (
                 f"{', '.join(self.unseen)} did not follow a probe of how the KRC takes corrections, which goes on: are "
-                "the drives on, is RSI_MOVECORR confirmed, does the KRC send four decimals, do the drives lag less than "
-                f"{LONGEST_S * 1e3:.0f} ms?"
+                "the drives on, is RSI_MOVECORR confirmed, does the KRC send four decimals, do the drives lag less "
+                f"than {LONGEST_S * 1e3:.0f} ms?"
             )
         return "finds out how the KRC takes corrections"
 
@@ -247,7 +245,6 @@ class ModeProbe:
         self._ipoc, self._ipoc_step, self._cycle = memory.ipoc, memory.ipoc_step, memory.cycle
         self._samples, self._cycles = list(memory.samples), list(memory.cycles)
         self._void, self.lags, self._lagging = memory.void, memory.lags, memory.lagging
-        self.lag_s = tuple(map(_told, self.lags))
 
     def _is_adrift(self, q: Array) -> bool:
         away = bool((np.abs(q - self._q_start) > ADRIFT * self._size).any())
@@ -282,16 +279,11 @@ class ModeProbe:
     def _measure_lags(self, samples: Array) -> None:
         cycles = np.array(self._cycles)
         self.lags = tuple(joint_lags(samples, cycles, self._trial, self._cycle_s))
-        self.lag_s = tuple(map(_told, self.lags))
         beyond_s = [
             max(lag.least_s, min(lag.settled_s, LONGEST_S)) if lag and lag.least_s > self._presumed_s else 0.0
             for lag in self.lags
         ]
         self._lagging = lag_fault(self._joints, beyond_s, self._presumed_s, self._cycle_s)
-
-
-def _told(lag: AxisLag | None) -> float | None:
-    return None if lag is None or math.isinf(lag.settled_s) else round(lag.settled_s, 3)
 
 
 def mode_of_session(

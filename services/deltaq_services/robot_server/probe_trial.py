@@ -14,7 +14,7 @@ are done within a window. A joint that sags, or is noisy, does not do the same w
 such a trial tells nothing, and there is another.
 
 The area that has come in by some time after a pulse is the share of a step that has arrived by then: the same trial
-tells the lag of each joint (`deltaq_cell.drive_lag`). A pulse is some cycles long, so a lag reads long by up to half of it.
+tells the lag of each joint (`deltaq_cell.drive_lag`). A pulse lasts some cycles: a lag reads long by up to half of it.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ def joint_lags(samples: Array, cycles: Array, trial: Trial, cycle_s: float) -> l
 
     Args:
         samples: as for `joint_modes`.
-        cycles: (rest + 2 window + 1,) cycle of each sample; telegrams that were lost leave gaps, which are interpolated.
+        cycles: (rest + 2 window + 1,) cycle of each sample; lost telegrams leave gaps, which are interpolated.
         trial: its cycles; a step is taken to be sent in the middle of a pulse.
         cycle_s: sample time.
 

@@ -8,6 +8,7 @@ from deltaq_protocol.guarded import Admission, ServerState, Supervision
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.setpoint_motion import SetpointMotion
+from deltaq_services.robot_server.lag_watch import LagMemory
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.mode_probe import ProbeMemory
 from deltaq_services.robot_server.pulses_cut_short import PulsesMemory
@@ -25,6 +26,7 @@ class ServerMemory:
         told: the last measurement, and when it came.
         state: what is published; None before the first cycle.
         mode: of the session; None for that of a robot that is no KUKA.
+        lag: of the moving axes; None before the probe has told it.
         pulses: of its probe, and of those that other sessions cut short.
         admissions: admissions that are due in a later cycle.
         supervision: the newest that no cycle has had yet.
@@ -47,6 +49,7 @@ class ServerMemory:
     told: tuple[Measurement, float] | None
     state: ServerState | None
     mode: ProbeMemory | None
+    lag: LagMemory | None
     pulses: PulsesMemory
     admissions: tuple[Admission, ...]
     supervision: Supervision | None
