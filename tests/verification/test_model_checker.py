@@ -224,7 +224,7 @@ def test_what_tells_one_moment_from_another_leaves_out_no_memory_of_the_robot_se
             "admissions",
         },
         "nobody sets one": {"outputs"},
-        "none since the robot is kinematic": {"mode", "pulses"},
+        "none since the robot is kinematic": {"mode", "lag", "pulses"},
         "handed to each cycle": {"supervision"},
     }  # fmt: skip
     assert names(ServerMemory) == set.union(*told.values())
