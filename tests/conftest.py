@@ -21,7 +21,7 @@ settings.load_profile("repeatable")
 def guarded_key(tmp_path_factory):
     """A key of the guarded realm, for services that tests start one by one, and those that play their peers."""
     from deltaq_services.guarded_key import KEY_FILE, write_new_key
-    from deltaq_services.hli.flood_wait import give_each_session_a_thread
+    from deltaq_services.hli.zenoh_session import give_each_session_a_thread
 
     give_each_session_a_thread()  # as the HLI's process does, before a test opens the first session
 

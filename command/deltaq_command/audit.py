@@ -45,7 +45,7 @@ def audit(
     from deltaq_cell.load import load_cell
     from deltaq_command.console import console, print_table
     from deltaq_protocol.errors import DeltaqError
-    from deltaq_services.hli.audit_file import default_audit_file, older
+    from deltaq_services.hli.audit import default_audit_file, older
 
     path = file or default_audit_file(load_cell(cell).cell)
     if not path.exists():

@@ -62,7 +62,7 @@ def up(
         select,
     )
     from deltaq_protocol.log import FORMAT, LogFormat, log_format_named
-    from deltaq_services.hli.client_tokens import client_roles
+    from deltaq_services.hli.client_roles import client_roles
     from deltaq_services.hli.line_encryption import line_encryption
     from deltaq_services.process import AUDIT_FILE
 
@@ -109,7 +109,7 @@ def up(
 
 def audit_file_of(wanted: str, cell: str) -> tuple[Path | None, str]:
     """The file of the audit log, or why there is none: nobody shall be kept from a cell by a folder of logs."""
-    from deltaq_services.hli.audit_file import AuditFileError, default_audit_file
+    from deltaq_services.hli.audit import AuditFileError, default_audit_file
 
     if wanted:
         return Path(wanted).resolve(), ""

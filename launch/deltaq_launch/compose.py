@@ -30,8 +30,8 @@ from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.given_token import CLIENT_TOKEN, OPERATOR_TOKEN
 from deltaq_services.console.settings import CONSOLE_TOKEN
 from deltaq_services.guarded_key import KEY_FILE, off_loopback
-from deltaq_services.hli.audit_file import audit_file_name
-from deltaq_services.hli.client_tokens import CONTROLLER_TOKEN
+from deltaq_services.hli.audit import audit_file_name
+from deltaq_services.hli.client_roles import CONTROLLER_TOKEN
 from deltaq_services.hli.line_encryption import CERTIFICATE_FILE
 from deltaq_services.hli.line_encryption import KEY_FILE as LINES_KEY_FILE
 from deltaq_services.process import AUDIT_FILE

@@ -16,7 +16,7 @@ from deltaq_launch.errors import LaunchError
 from deltaq_protocol.given_token import CLIENT_TOKEN, OPERATOR_TOKEN, given_token
 from deltaq_protocol.role_prover import environment_has_role
 from deltaq_services.console.settings import CONSOLE_TOKEN
-from deltaq_services.hli.client_tokens import CONTROLLER_TOKEN
+from deltaq_services.hli.client_roles import CONTROLLER_TOKEN
 from deltaq_services.runtime_folder import runtime_folder
 
 _TOKEN_BYTES = 24

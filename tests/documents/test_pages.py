@@ -54,9 +54,7 @@ NOT_RUN = {
         "tests/clients/test_octave_follower.py runs it in Octave beside a moving leader",
         *["tests/clients/test_printed_programs.py runs it"] * 2,
     ],
-    "ask-the-advisor.md": ["takes many minutes"],
     "console.md": ["needs Chromium"],
-    "measure.md": ["needs Chromium"],
     "observe.md": ["needs Prometheus", "needs Prometheus", "a line of a log; tests/protocol/test_log.py"],
     "containers.md": [
         "needs a container engine; tests/launch/test_containers.py",

@@ -20,7 +20,7 @@ from deltaq_protocol.certified.names import AUTHORITY_FILE, CLIENT_IDENTITY, IDE
 from deltaq_protocol.client_rights import ClientRole
 from deltaq_protocol.errors import RefusedError
 from deltaq_protocol.given_token import GivenTokenError
-from deltaq_services.hli.client_tokens import client_roles
+from deltaq_services.hli.client_roles import client_roles
 from deltaq_services.hli.line_encryption import line_encryption
 from deltaq_services.service_identity import authority_of_clients
 

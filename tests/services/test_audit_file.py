@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from deltaq_services.hli.audit_file import AuditFile, AuditFileError, default_audit_file, older
+from deltaq_services.hli.audit import AuditFile, AuditFileError, default_audit_file, older
 
 
 def line(number: int) -> bytes:

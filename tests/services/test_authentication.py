@@ -5,8 +5,7 @@ from __future__ import annotations
 import itertools
 
 from deltaq_protocol.proof import Prover
-from deltaq_services.hli.authentication import Authentication
-from deltaq_services.hli.challenges import GOOD_FOR_S, Challenges
+from deltaq_services.hli.authentication import GOOD_FOR_S, Authentication, Challenges
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.leases import Leases
 from deltaq_services.outputs import ClientOrigin

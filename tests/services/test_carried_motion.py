@@ -12,9 +12,14 @@ from hypothesis import strategies as st
 from deltaq_protocol.brake import brake_cycles, brake_increment
 from deltaq_protocol.guarded import Plan
 from deltaq_protocol.messages import Increment, Playout
-from deltaq_services.hli.asked import Asked
-from deltaq_services.hli.carried_motion import MOST_CARRIED_CYCLES, SPREAD_CYCLES, CarriedMotion
-from deltaq_services.hli.playout import Fate, PlayoutBuffer
+from deltaq_services.hli.playout import (
+    MOST_CARRIED_CYCLES,
+    SPREAD_CYCLES,
+    Asked,
+    CarriedMotion,
+    Fate,
+    PlayoutBuffer,
+)
 
 MAX_DQ, MAX_DV = np.array([0.01]), np.array([0.001])
 MOST_CYCLES = 83

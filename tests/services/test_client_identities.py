@@ -18,8 +18,7 @@ from deltaq_protocol.certified.signed import MAX_SIGNED_BYTES, IdentityProver, S
 from deltaq_protocol.client_rights import ClientRole
 from deltaq_protocol.codec import MAX_MESSAGE_BYTES
 from deltaq_protocol.proof import MAX_PROOF_BYTES, Prover
-from deltaq_services.hli.authentication import Authentication
-from deltaq_services.hli.challenges import GOOD_FOR_S
+from deltaq_services.hli.authentication import GOOD_FOR_S, Authentication
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.leases import Leases
 

@@ -8,10 +8,11 @@ import pytest
 
 from deltaq_protocol.audit import AuditKind, AuditOutcome
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.hli.audit_file import MOST_BYTES, MOST_FILES
-from deltaq_services.hli.deed_groups import (
+from deltaq_services.hli.audit import (
     LONGEST_QUIET_S,
     MANY,
+    MOST_BYTES,
+    MOST_FILES,
     MOST_GROUPS,
     NEW_GROUPS_S,
     CountedDeed,

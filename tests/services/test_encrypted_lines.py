@@ -14,15 +14,15 @@ from guarded_peer import GuardedPeer, guarded_peer
 from json_client import JsonClient
 from small_cell import small_cell, told, tool_pose
 
-from deltaq_services.hli import handshake, places, tcp_connection, tcp_front
+from deltaq_services.hli import newcomers, places, tcp_connection, tcp_front
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.line_encryption import line_encryption
-from deltaq_services.hli.shell import Hli
-from deltaq_services.hli.waiting_places import (
+from deltaq_services.hli.places import (
     MAX_WAITING,
     MAX_WAITING_OF_A_PEER,
     WaitingPlaces,
 )
+from deltaq_services.hli.shell import Hli
 
 TOKEN = "an operator's token"
 
@@ -66,7 +66,7 @@ async def test_over_tls_a_client_is_served_as_in_the_clear(files: dict[str, str]
 async def test_who_speaks_in_the_clear_to_an_encrypted_line_or_not_at_all_is_nobody(
     files: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in (handshake, tcp_front):
+    for module in (newcomers, tcp_front):
         monkeypatch.setattr(module, "HANDSHAKE_S", 0.2)
     async with encrypted(files) as (hli, peer):
         port = peer.cell.tcp_port

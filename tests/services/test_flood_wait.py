@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from deltaq_services.hli import flood_wait
-from deltaq_services.hli.flood_wait import FloodWait
+from deltaq_services.hli import zenoh_session
+from deltaq_services.hli.zenoh_session import FloodWait
 
 
 class Clock:
@@ -27,7 +27,7 @@ def test_who_asks_now_and_then_never_waits_and_a_flood_comes_at_the_pace_of_its_
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     clock = Clock()
-    monkeypatch.setattr(flood_wait, "time", clock)
+    monkeypatch.setattr(zenoh_session, "time", clock)
     polite = FloodWait(100.0)
     for _ in range(1000):
         clock.now_s += 0.0101

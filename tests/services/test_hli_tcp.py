@@ -18,11 +18,11 @@ from deltaq_protocol.guarded import Health
 from deltaq_protocol.messages import PROTOCOL_VERSION
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli import tcp_connection
-from deltaq_services.hli.received_lines import MAX_LINE_BYTES
+from deltaq_services.hli.line_requests import MAX_LINE_BYTES
+from deltaq_services.hli.places import MAX_WAITING
 from deltaq_services.hli.shell import Hli
 from deltaq_services.hli.tcp_connection import MAX_UNREAD_BYTES
 from deltaq_services.hli.tcp_front import MAX_CONNECTIONS
-from deltaq_services.hli.waiting_places import MAX_WAITING
 
 ZEROS = [0.0] * 6
 

@@ -4,8 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 
-from deltaq_services.hli.line_turns import LineTurns
-from deltaq_services.hli.places import MAX_CONNECTIONS, MAX_OF_A_PEER, MAX_STOP_PLACES, Place, Places
+from deltaq_services.hli.places import (
+    MAX_CONNECTIONS,
+    MAX_OF_A_PEER,
+    MAX_STOP_PLACES,
+    LineTurns,
+    Place,
+    Places,
+)
 
 
 def flooded(turns: LineTurns[str], floods: list[str], holder: str | None, seconds: float) -> Counter[str]:

@@ -17,10 +17,8 @@ from deltaq_protocol import topics
 from deltaq_protocol.guarded import Admission, Plan, Supervision
 from deltaq_protocol.messages import Increment, Outcome, Phase, Verdict
 from deltaq_protocol.setpoint_motion import SetpointMotion
-from deltaq_services.hli.admitted_ahead import AdmittedAhead
-from deltaq_services.hli.asked import Asked
-from deltaq_services.hli.carried_motion import CarriedMotion
-from deltaq_services.hli.robot_link import RobotLink
+from deltaq_services.hli.playout import Asked, CarriedMotion
+from deltaq_services.hli.robot_link import AdmittedAhead, RobotLink
 from deltaq_services.robot_server.admissions_due import AdmissionsDue
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.guards import Refusal

@@ -12,7 +12,7 @@ import pytest
 from deltaq_launch.private_cell import free_ports
 from deltaq_services.hli import newcomers
 from deltaq_services.hli.newcomers import Newcomers
-from deltaq_services.hli.waiting_places import MAX_WAITING
+from deltaq_services.hli.places import MAX_WAITING
 
 STOP = b'{"type":"stop"}\n'
 HELLO = b'{"type":"hello","protocol":1,"client":"x"}\n'

@@ -27,11 +27,9 @@ from deltaq_protocol.messages import (
     ViewTarget,
 )
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.hli.asked import Asked
-from deltaq_services.hli.carried_motion import CarriedMotion
 from deltaq_services.hli.core import HliCore
-from deltaq_services.hli.playout import Fate, Left, PlayoutBuffer
-from deltaq_services.hli.sequence import Sequence
+from deltaq_services.hli.leases import Sequence
+from deltaq_services.hli.playout import Asked, CarriedMotion, Fate, Left, PlayoutBuffer
 from deltaq_services.outputs import Output, Sender, ToSender, ToTopic
 
 DQ = (1e-5, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from deltaq_services.hli.received_lines import MAX_LINE_BYTES, ReceivedLines
+from deltaq_services.hli.line_requests import MAX_LINE_BYTES, ReceivedLines
 
 STOP = b'{"type":"stop"}'
 

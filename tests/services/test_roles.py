@@ -9,8 +9,7 @@ from small_cell import small_cell
 
 from deltaq_protocol.client_rights import ClientRole
 from deltaq_protocol.given_token import GivenTokenError
-from deltaq_services.hli.client_roles import ClientRoles
-from deltaq_services.hli.client_tokens import LEAST_CHARACTERS, client_roles
+from deltaq_services.hli.client_roles import LEAST_CHARACTERS, ClientRoles, client_roles
 from deltaq_services.hli.line_encryption import LineEncryptionError, line_encryption
 from deltaq_services.tries import MOST_TRIES_S, Tries
 

@@ -13,7 +13,7 @@ from guarded_peer import GuardedPeer, guarded_peer
 from small_cell import small_cell, told, tool_pose
 
 from deltaq_protocol.audit import AuditEntry
-from deltaq_services.hli.client_identities import ClientIdentities
+from deltaq_services.hli.authentication import ClientIdentities
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.shell import Hli
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from identities import make
 
 from deltaq_protocol.certified.certificate import certificate_in, now_utc
-from deltaq_services.hli.client_identities import ClientIdentities
+from deltaq_services.hli.authentication import ClientIdentities
 
 PEOPLE = ("operator-desk", "controller-tower")
 

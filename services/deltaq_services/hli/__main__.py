@@ -18,15 +18,14 @@ from deltaq_cell.open_realm import CROSSES_IN_CLEAR, zenoh_in_clear
 from deltaq_protocol.certified.names import AUTHORITY_FILE, IDENTITY
 from deltaq_protocol.messages import Description, ToolPose
 from deltaq_protocol.real_time import SchedulingPriority, ask_for_real_time
-from deltaq_services.hli.client_roles import ClientRoles
-from deltaq_services.hli.client_tokens import client_roles
-from deltaq_services.hli.flood_wait import give_each_session_a_thread
+from deltaq_services.hli.client_roles import ClientRoles, client_roles
 from deltaq_services.hli.line_encryption import line_encryption
 from deltaq_services.hli.shell import Hli
+from deltaq_services.hli.zenoh_session import give_each_session_a_thread
 from deltaq_services.process import arguments, run
 
 if TYPE_CHECKING:
-    from deltaq_services.hli.client_identities import ClientIdentities
+    from deltaq_services.hli.authentication import ClientIdentities
 _log = logging.getLogger(__name__)
 
 _MOST_OPEN = 16_384
@@ -70,7 +69,7 @@ def _client_identities(cell: CellDescription) -> tuple[ClientIdentities | None, 
     from cryptography.hazmat.primitives.serialization import Encoding
 
     from deltaq_protocol.certified.certificate import now_utc
-    from deltaq_services.hli.client_identities import ClientIdentities
+    from deltaq_services.hli.authentication import ClientIdentities
     from deltaq_services.service_identity import authority_of_clients
 
     authority = authority_of_clients(cell, os.environ)

@@ -2,19 +2,354 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import os
+import queue
+import stat
+import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import NamedTuple
 
-from deltaq_protocol.audit import LONGEST_ADDRESS, LONGEST_NAME, LONGEST_TEXT, AuditEntry, AuditOutcome
-from deltaq_services.hli.audit_file import AuditFile
-from deltaq_services.hli.deed_groups import CountedDeed, DeedGroups
+from deltaq_protocol.audit import (
+    LONGEST_ADDRESS,
+    LONGEST_NAME,
+    LONGEST_TEXT,
+    AuditEntry,
+    AuditKind,
+    AuditOutcome,
+)
+from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.deeds import Deed
+from deltaq_services.outputs import ClientOrigin
 from deltaq_services.pace import Pace
 from deltaq_services.rate_limit import RateLimit
+
+# Equal deeds are one entry with a count, so that a flood of them fills no disk. Plain decisions.
+#
+# The first of a group is told at once, those that follow are counted: until a second is over, and, while
+# they keep coming, until 2, 4, 8, 16 and then 30 seconds are. Of one kind, outcome and role so many groups
+# are told apart; whatever is beyond them goes into one. So nobody soon drives the entries of others out of
+# the files by inventing names.
+
+QUIET_S = 1.0
+LONGEST_QUIET_S = 30.0
+MOST_GROUPS = 20
+"""Groups of one kind, outcome and role that are told apart at a time."""
+NEW_GROUPS_S = 0.2
+"""Of these, new ones a second; at once there may be as many as at a time."""
+MANY = "more than can be told apart"
+"""The client of what is beyond."""
+
+
+@dataclass(frozen=True, slots=True)
+class CountedDeed:
+    """The newest of some equal deeds, when it was [s], and how many they are."""
+
+    deed: Deed
+    time_s: float
+    count: int
+
+
+class _Key(NamedTuple):
+    what: AuditKind
+    outcome: AuditOutcome
+    code: ReasonCode | None
+    robot: str | None
+    client: str
+    host: str
+    role: str
+    identity: str
+    text: str
+
+
+_Kind = tuple[AuditKind, AuditOutcome, str]
+
+
+@dataclass(slots=True)
+class _Group:
+    newest: Deed
+    newest_s: float
+    until_s: float
+    quiet_s: float = QUIET_S
+    count: int = 0
+
+    def counted(self) -> CountedDeed:
+        """What is to be told of it."""
+        return CountedDeed(self.newest, self.newest_s, self.count)
+
+
+class DeedGroups:
+    """Puts equal deeds together."""
+
+    def __init__(self) -> None:
+        self._groups: dict[_Key, _Group] = {}
+        self._new: dict[_Kind, RateLimit] = {}
+        self._told_apart: Counter[_Kind] = Counter()
+
+    def add(self, deed: Deed, now_s: float, count: int = 1) -> list[CountedDeed]:
+        """Take a deed, or several equal ones; returns the deeds to report at once."""
+        group = self._groups.get(_key(deed))
+        if group is None and not self._may_begin(deed, now_s):
+            others = ClientOrigin(client=MANY, role=deed.origin.role)
+            deed = replace(deed, origin=others, robot=None, code=None, text="")
+            group = self._groups.get(_key(deed))
+        if group is None:
+            self._groups[_key(deed)] = _Group(deed, now_s, now_s + QUIET_S)
+            self._told_apart[_kind(deed)] += 1
+            return [CountedDeed(deed, now_s, count)]
+        group.newest, group.newest_s = deed, now_s
+        group.count += count
+        return []
+
+    def due(self, now_s: float) -> list[CountedDeed]:
+        """The groups that were counted for long enough, as deeds with their counts."""
+        told: list[CountedDeed] = []
+        for key, group in list(self._groups.items()):
+            if now_s < group.until_s:
+                continue
+            if not group.count:
+                del self._groups[key]
+                self._told_apart[_kind(group.newest)] -= 1
+                continue
+            told.append(group.counted())
+            group.count = 0
+            group.quiet_s = min(2.0 * group.quiet_s, LONGEST_QUIET_S)
+            group.until_s = now_s + group.quiet_s
+        return told
+
+    def rest(self) -> list[CountedDeed]:
+        """The counted deeds that were not reported yet; all groups are forgotten."""
+        groups, self._groups = self._groups, {}
+        self._told_apart.clear()
+        return [group.counted() for group in groups.values() if group.count]
+
+    def _may_begin(self, deed: Deed, now_s: float) -> bool:
+        kind = _kind(deed)
+        rate = self._new.get(kind)
+        if rate is None:
+            rate = self._new[kind] = RateLimit(NEW_GROUPS_S, MOST_GROUPS)
+        return self._told_apart[kind] < MOST_GROUPS and rate.take(now_s)
+
+
+def _kind(deed: Deed) -> _Kind:
+    return deed.what, deed.outcome, deed.origin.role
+
+
+def _key(deed: Deed) -> _Key:
+    origin = deed.origin
+    # who connects again and again has another port each time
+    host = origin.address.rpartition(":")[0] or origin.address
+    # what was refused is equal whatever a stranger wrote; what was done is another thing each time
+    text = "" if deed.outcome is AuditOutcome.REFUSED else deed.text
+    return _Key(
+        deed.what,
+        deed.outcome,
+        deed.code,
+        deed.robot,
+        origin.client,
+        host,
+        origin.role,
+        origin.identity,
+        text,
+    )
+
+
+# The file of the audit log: whole lines, appended, bounded in size, written in a thread of its own.
+#
+# Each line is one `write` at the end of the file, so that a process that is killed leaves no half of an earlier line.
+# What a full disk or a loss of power tore is ended when the next line comes. A killed process loses what its thread
+# had not written yet; a machine that loses its power, what came since the last `fdatasync`, about a second.
+
+MOST_BYTES = 16 * 1024 * 1024
+"""Of one file; then it becomes FILE.1, and that FILE.2."""
+MOST_FILES = 8
+MOST_WAITING = 4096
+"""Lines that may wait for a slow disk."""
+_SYNC_PERIOD_S = 1.0
+_CLOSE_DEADLINE_S = 2.0
+"""Time for a slow disk when the service ends."""
+_OTHERS = stat.S_IRWXG | stat.S_IRWXO
+
+
+class AuditFileError(DeltaqError):
+    """A file that cannot hold the audit log."""
+
+
+class AuditFile:
+    """Appends lines.
+
+    Args:
+        path: path of the file; its folder must exist. A new file has mode 0600.
+        most_bytes: largest size of one file [bytes].
+        most_files: number of files that are kept, including the one that is being written.
+
+    Raises:
+        AuditFileError: the file cannot be opened for writing, or others may read it.
+    """
+
+    def __init__(self, path: Path, most_bytes: int = MOST_BYTES, most_files: int = MOST_FILES) -> None:
+        self._path, self._most_bytes, self._most_files = path, most_bytes, most_files
+        self._turned_away = 0
+        self._failed = 0
+        self._why = ""
+        try:
+            self._descriptor: int | None = _opened(path)
+        except OSError as error:
+            raise AuditFileError(
+                f"the audit log {path} cannot be written: {error.strerror}; name another file, or none"
+            ) from error
+        about = os.fstat(self._descriptor)
+        if stat.S_ISREG(about.st_mode) and (about.st_uid != os.geteuid() or about.st_mode & _OTHERS):
+            os.close(self._descriptor)
+            raise AuditFileError(
+                f"the audit log {path} has mode {stat.S_IMODE(about.st_mode):04o} and belongs to user {about.st_uid}; "
+                f"it must be the own file of user {os.geteuid()}: `chmod 600 {path}`, or name another"
+            )
+        self._waiting: queue.Queue[bytes | None] = queue.Queue(MOST_WAITING)
+        self._thread = threading.Thread(target=self._run, name="audit", daemon=True)
+        self._thread.start()
+
+    @property
+    def lost(self) -> int:
+        """Lines that could not be written."""
+        return self._turned_away + self._failed
+
+    @property
+    def fault(self) -> str:
+        """Why the newest line could not be written; empty if it was."""
+        return "the disk is too slow" if self._waiting.full() else self._why
+
+    def write(self, line: bytes) -> None:
+        """Append a line, which ends with a newline; returns at once."""
+        try:
+            self._waiting.put_nowait(line)
+        except queue.Full:
+            self._turned_away += 1
+
+    def close(self) -> None:
+        """Write what waits, as far as the disk takes it in time."""
+        try:
+            self._waiting.put(None, timeout=_CLOSE_DEADLINE_S)
+        except queue.Full:
+            return
+        self._thread.join(_CLOSE_DEADLINE_S)
+
+    # --- in the thread ------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        sync_s: float | None = None
+        while True:
+            try:
+                line = self._waiting.get(timeout=None if sync_s is None else sync_s - time.monotonic())
+            except (queue.Empty, ValueError):  # or it was due before
+                self._sync()
+                sync_s = None
+                continue
+            if line is None:
+                break
+            try:
+                self._append(line)
+                self._why = ""
+            except OSError as error:
+                self._failed += 1
+                self._why = error.strerror or str(error)
+            if sync_s is None:
+                sync_s = time.monotonic() + _SYNC_PERIOD_S
+        self._sync()
+        self._forget()
+
+    def _append(self, line: bytes) -> None:
+        descriptor = self._current()
+        about = os.fstat(descriptor)
+        if stat.S_ISREG(about.st_mode):
+            if about.st_size and about.st_size + len(line) > self._most_bytes:
+                self._rotate()
+                descriptor = self._current()
+            elif about.st_size and os.pread(descriptor, 1, about.st_size - 1) != b"\n":
+                line = b"\n" + line  # a line was torn
+        written = os.write(descriptor, line)
+        if written < len(line):
+            raise OSError(0, "only a part of a line could be written")
+
+    def _current(self) -> int:
+        """The open file, unless somebody has moved it or taken it away since."""
+        if self._descriptor is not None and not _is_at(self._descriptor, self._path):
+            self._forget()
+        if self._descriptor is None:
+            self._descriptor = _opened(self._path)
+        return self._descriptor
+
+    def _rotate(self) -> None:
+        self._forget()
+        names = [self._path, *older(self._path, self._most_files)]
+        for newer, old in reversed(list(itertools.pairwise(names))):
+            if newer.exists():
+                newer.replace(old)
+        if len(names) == 1:
+            self._path.unlink()
+
+    def _sync(self) -> None:
+        try:
+            if self._descriptor is not None:
+                os.fdatasync(self._descriptor)
+        except OSError:
+            pass  # a device that keeps nothing; a disk that fails says so when it is written to
+
+    def _forget(self) -> None:
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
+
+
+def older(path: Path, most_files: int = MOST_FILES) -> Iterator[Path]:
+    """Names of the files that were written before `path`, the newest of them first."""
+    return (path.with_name(f"{path.name}.{number}") for number in range(1, most_files))
+
+
+def default_audit_file(cell: str) -> Path:
+    """Where `deltaq up` keeps the audit log of a cell: with the user's state, which outlives a restart of the machine.
+
+    Raises:
+        AuditFileError: if the folder cannot be made, or the file is not this user's.
+    """
+    given = os.environ.get("XDG_STATE_HOME")
+    folder = (Path(given) if given else Path.home() / ".local" / "state") / "deltaq"
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except OSError as error:
+        raise AuditFileError(f"{folder} cannot be made: {error.strerror}") from error
+    file = folder / audit_file_name(cell)
+    if file.exists() and not os.access(file, os.R_OK | os.W_OK):
+        raise AuditFileError(f"{file} is there, and this user cannot write to it")
+    return file
+
+
+def audit_file_name(cell: str) -> str:
+    """What the file of a cell's audit log is called, where nobody names it."""
+    return f"audit-{cell}.jsonl"
+
+
+def _opened(path: Path) -> int:
+    # non-blocking: a pipe that nobody reads is an error, and not the end of the thread
+    flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NONBLOCK
+    return os.open(path, flags, 0o600)
+
+
+def _is_at(descriptor: int, path: Path) -> bool:
+    try:
+        there = path.stat()
+    except OSError:
+        return False
+    ours = os.fstat(descriptor)
+    return (ours.st_dev, ours.st_ino) == (there.st_dev, there.st_ino)
+
 
 MOST_PUBLISHED_S = 20.0
 """Entries a second that are published, and at once: they go through the gate's process."""

@@ -5,18 +5,130 @@ Plain decisions; the shell passes the time in. What is not proven is not decoded
 
 from __future__ import annotations
 
+import itertools
+import struct
+from collections.abc import Callable
+from datetime import datetime
+from hashlib import blake2b
 from hmac import compare_digest
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
+from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from deltaq_protocol.certified.certificate import check_issued, name_in
+from deltaq_protocol.certified.names import person_named
+from deltaq_protocol.certified.signed import Signed
 from deltaq_protocol.codec import MAX_MESSAGE_BYTES
 from deltaq_protocol.proof import MAX_PROOF_BYTES, key_of, line_proof, proven_nonce
-from deltaq_services.hli.challenges import Challenges
 from deltaq_services.hli.client_roles import ClientRoles
-from deltaq_services.hli.leases import Leases
-from deltaq_services.hli.sequence import Sequence
+from deltaq_services.hli.leases import Leases, Sequence
 
-if TYPE_CHECKING:
-    from deltaq_services.hli.client_identities import ClientIdentities
+# Challenges that a request of the operator answers, each good once and not for long.
+#
+# None is kept: the server knows its own by their MAC, so that whoever asks for a million takes nobody's away. Those
+# that were used are remembered as long as they would be good, and only who knows the operator's token can use one.
+
+GOOD_FOR_S = 5.0
+"""Between the challenge and the request lies one round trip."""
+
+_MADE = struct.Struct(">dQ")
+_MAC_BYTES = 32
+
+
+class Challenges:
+    """Makes challenges, and knows its own again.
+
+    Args:
+        secret: different in each process.
+    """
+
+    def __init__(self, secret: str) -> None:
+        self._key = blake2b(secret.encode(), digest_size=_MAC_BYTES).digest()
+        self._counts = itertools.count(1)
+        self._used: dict[bytes, float] = {}
+
+    def new(self, time_s: float) -> bytes:
+        """A challenge that was never made before; any thread may ask."""
+        made = _MADE.pack(time_s, next(self._counts))
+        return made + self._mac(made)
+
+    def accept(self, challenge: bytes, time_s: float) -> bool:
+        """Whether a challenge is one of this process's, fresh, and was never accepted before."""
+        self._used = {used: until_s for used, until_s in self._used.items() if time_s <= until_s}
+        if not self.is_new(challenge, time_s):
+            return False
+        self._used[challenge] = _until_s(challenge)
+        return True
+
+    def is_new(self, challenge: bytes, time_s: float) -> bool:
+        """Whether `accept` would accept a challenge; nothing is accepted, and any thread may ask."""
+        made = challenge[: _MADE.size]
+        is_own = len(made) == _MADE.size and compare_digest(self._mac(made), challenge[_MADE.size :])
+        return is_own and time_s <= _until_s(challenge) and challenge not in self._used
+
+    def _mac(self, made: bytes) -> bytes:
+        return blake2b(made, digest_size=_MAC_BYTES, key=self._key).digest()
+
+
+def _until_s(challenge: bytes) -> float:
+    made_s: float = _MADE.unpack(challenge[: _MADE.size])[0]
+    return made_s + GOOD_FOR_S
+
+
+# Operators and controllers by their certificates: who made a request, by name. The shell passes the clock in.
+
+_MOST_KNOWN = 256
+"""Certificates that are not verified again each time."""
+
+
+class ClientIdentities:
+    """Knows those to whom a cell's authority gave a certificate.
+
+    Args:
+        authority: its certificate.
+        now: this machine's time.
+    """
+
+    def __init__(self, authority: x509.Certificate, now: Callable[[], datetime]) -> None:
+        self._authority = authority
+        self._now = now
+        self._known: dict[bytes, x509.Certificate] = {}
+
+    def nonce(self, proof: bytes) -> bytes:
+        """The challenge that a signed proof says it answers; empty if it is none."""
+        signed = Signed.parse(proof)
+        return b"" if signed is None else signed.nonce
+
+    def name(self, key: str, message: bytes, proof: bytes) -> str:
+        """The identity that signed a message under a zenoh key, e.g. `operator-desk`; empty if no permitted one did.
+
+        Any thread may ask. Whether the challenge is new is another question.
+        """
+        signed = Signed.parse(proof)
+        if signed is None:
+            return ""
+        try:
+            certificate = self._believed(signed)
+        except Exception:  # what strangers make up raises many unrelated types
+            return ""
+        public_key = certificate.public_key()
+        if not (isinstance(public_key, ec.EllipticCurvePublicKey) and signed.is_of(public_key, key, message)):
+            return ""
+        return person_named(name_in(certificate))
+
+    def _believed(self, signed: Signed) -> x509.Certificate:
+        """Its certificate, which the authority issued for now; an error of whatever type if it did not."""
+        known = self._known.get(signed.certificate)
+        now = self._now()
+        if known is not None and now <= known.not_valid_after_utc:
+            return known
+        certificate = x509.load_der_x509_certificate(signed.certificate)
+        check_issued(certificate, self._authority, "a client's certificate", now)
+        if len(self._known) >= _MOST_KNOWN:
+            self._known.clear()
+        self._known[signed.certificate] = certificate
+        return certificate
 
 
 _TOLD_APART = 64

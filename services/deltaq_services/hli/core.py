@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
@@ -41,16 +42,41 @@ from deltaq_protocol.messages import (
 )
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.client_roles import ClientRoles
+from deltaq_services.hli.commands import CommandsMemory
 from deltaq_services.hli.deeds import Deed, Tell, told_to_nobody
 from deltaq_services.hli.increments import Increments
-from deltaq_services.hli.leases import Leases
+from deltaq_services.hli.leases import Leases, LeasesMemory
 from deltaq_services.hli.requests import Requests
-from deltaq_services.hli.robot_link import RobotLink
-from deltaq_services.hli.snapshot import HliMemory
+from deltaq_services.hli.robot_link import LinkMemory, RobotLink
 from deltaq_services.hli.state import HliState
 from deltaq_services.lagging import Heard
 from deltaq_services.outputs import Output, Sender, ToSender, ToTopic
 from deltaq_services.pace import Pace
+
+# What the HLI remembers from one message to the next: values, from which another goes on as it would have.
+
+
+@dataclass(frozen=True, slots=True)
+class HliMemory:
+    """Snapshot of the HLI's core, counters excepted. Senders are in it as they are: nobody can copy a connection.
+
+    Attributes:
+        links: by robot.
+        mismatches: services that have read another cell, and what to say of them.
+        gate: its newest heartbeat, and when that was heard.
+        heard_s: when each stream was heard.
+        proximity_s: when the nearest pair is due.
+        command_rate: what clients may still ask of the gate.
+    """
+
+    leases: LeasesMemory
+    commands: CommandsMemory
+    links: Mapping[str, LinkMemory]
+    mismatches: Mapping[str, str]
+    gate: tuple[Health | None, float]
+    heard_s: tuple[tuple[float, ...], ...]
+    proximity_s: float
+    command_rate: tuple[float, float | None]
 
 
 class HliCore:

@@ -10,14 +10,11 @@ from deltaq_protocol.codec import InvalidMessageError
 from deltaq_protocol.guarded import Request
 from deltaq_protocol.messages import EarlierIncrement, Error, Increment, Outcome, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.hli.asked import Asked
-from deltaq_services.hli.carried_motion import MOST_CARRIED_CYCLES
 from deltaq_services.hli.deeds import Deed
 from deltaq_services.hli.leases import Lease
-from deltaq_services.hli.playout import Fate, Left, PlayoutBuffer
-from deltaq_services.hli.refusals import answered_by_error, at_fault, unknown_robot
+from deltaq_services.hli.playout import MOST_CARRIED_CYCLES, Asked, Fate, Left, PlayoutBuffer
 from deltaq_services.hli.robot_link import RobotLink
-from deltaq_services.hli.state import HliState
+from deltaq_services.hli.state import HliState, answered_by_error, at_fault, unknown_robot
 from deltaq_services.outputs import ClientOrigin, Output, Sender, ToSender, ToTopic
 
 

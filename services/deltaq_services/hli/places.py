@@ -6,12 +6,130 @@ a stop is read from it. When too many of them wait the oldest gives way, so that
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Iterator
 from enum import Enum, auto
+from itertools import zip_longest
 from typing import Generic, TypeVar
 
 from deltaq_cell.open_realm import is_loopback
+from deltaq_services.rate_limit import RateLimit
 
-C = TypeVar("C")
+# Places for connections of which nothing is known yet, so that silent ones use nothing up.
+#
+# Plain decisions. Nobody is refused one, since a stop may be behind each: where there are too many an older
+# one gives way, of the address that has the most. To be taken up, or to agree on an encryption, takes
+# milliseconds, and a newcomer is the last to give way.
+
+C = TypeVar("C", bound=Hashable)
+
+MAX_WAITING = 256
+MAX_WAITING_OF_A_PEER = 64
+"""Of one address; on the loopback everybody has the same, and may have all."""
+
+
+class WaitingPlaces(Generic[C]):
+    """Who waits, from where, the oldest first."""
+
+    def __init__(self) -> None:
+        self._by_address: dict[str, dict[C, None]] = {}
+        self._addresses: dict[C, str] = {}
+
+    def __len__(self) -> int:
+        """How many there are."""
+        return len(self._addresses)
+
+    def __iter__(self) -> Iterator[C]:
+        """One of each address in turns, the newest first."""
+        for turn in zip_longest(*map(reversed, reversed(self._by_address.values()))):
+            yield from (one for one in turn if one is not None)
+
+    def take(self, one: C, address: str) -> C | None:
+        """Give one a place; returns the one that gives way for it, if one must."""
+        mine = self._by_address.get(address, {})
+        if len(mine) >= MAX_WAITING_OF_A_PEER and not is_loopback(address):
+            gives_way = next(iter(mine))
+        elif len(self) >= MAX_WAITING:
+            most: dict[C, None] = max(self._by_address.values(), key=len)
+            gives_way = next(iter(most))
+        else:
+            gives_way = None
+        if gives_way is not None:
+            self.leave(gives_way)
+        self._by_address.setdefault(address, {})[one] = None
+        self._addresses[one] = address
+        return gives_way
+
+    def leave(self, one: C) -> None:
+        """One waits no longer."""
+        address = self._addresses.pop(one, None)
+        if address is not None:
+            del self._by_address[address][one]
+            if not self._by_address[address]:
+                del self._by_address[address]
+
+
+# Whose line is served next, when many wait. Plain decisions; the shell passes the time in.
+#
+# Connections that hold a lease come first, since a robot waits for them; the others follow in turn, one
+# line each. Every connection has a rate, and those without a lease have one together, so that however many
+# they are, time is left for the states of the robots. A line beyond a rate waits; it is not lost, and its
+# sender is the one who waits.
+
+MOST_LINES_S = 2000.0
+"""Lines a second of one connection: several times what it takes to move two robots every 4 ms."""
+MOST_TOGETHER_S = 2000.0
+"""Lines a second of all connections together that hold no lease."""
+
+
+class LineTurns(Generic[C]):
+    """The connections that have a line waiting, and how many lines each may still send.
+
+    Args:
+        most_lines_s: lines a second of one connection.
+        most_together_s: lines a second of all connections without a lease together.
+    """
+
+    def __init__(self, most_lines_s: float = MOST_LINES_S, most_together_s: float = MOST_TOGETHER_S) -> None:
+        self._most_lines_s = most_lines_s
+        self._together = RateLimit(most_together_s)
+        self._rates: dict[C, RateLimit] = {}
+        # dictionaries as queues: each connection once, the one that waits longest first
+        self._holders: dict[C, None] = {}
+        self._others: dict[C, None] = {}
+
+    def __bool__(self) -> bool:
+        """Whether a line waits."""
+        return bool(self._holders or self._others)
+
+    def wait(self, connection: C, is_holder: bool) -> None:
+        """A connection has a line waiting."""
+        mine, other = (self._holders, self._others) if is_holder else (self._others, self._holders)
+        other.pop(connection, None)
+        mine.setdefault(connection)
+
+    def leave(self, connection: C) -> None:
+        """A connection has ended."""
+        self._holders.pop(connection, None)
+        self._others.pop(connection, None)
+        self._rates.pop(connection, None)
+
+    def next(self, time_s: float) -> C | None:
+        """The connection whose line is served now; None if none may be yet. It waits again only after `wait`."""
+        for connection in self._holders:
+            if self._rate(connection).take(time_s):
+                del self._holders[connection]
+                return connection
+        for connection in self._others:
+            if self._rate(connection).take(time_s):
+                if not self._together.take(time_s):
+                    return None
+                del self._others[connection]
+                return connection
+        return None
+
+    def _rate(self, connection: C) -> RateLimit:
+        return self._rates.setdefault(connection, RateLimit(self._most_lines_s))
+
 
 MAX_CONNECTIONS = 64
 MAX_OF_A_PEER = 16

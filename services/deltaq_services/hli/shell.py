@@ -31,7 +31,7 @@ from deltaq_services.outputs import ClientOrigin, Output, ToSender
 from deltaq_services.pace import Pace
 
 if TYPE_CHECKING:
-    from deltaq_services.hli.client_identities import ClientIdentities
+    from deltaq_services.hli.authentication import ClientIdentities
 
 _TICK_S = 0.02
 

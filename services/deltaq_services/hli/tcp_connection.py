@@ -25,12 +25,11 @@ from deltaq_protocol.messages import (
 )
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.deeds import Deed
-from deltaq_services.hli.handshake import identity_of
 from deltaq_services.hli.line_encryption import CERTIFICATE_FILE, is_overheard
-from deltaq_services.hli.line_requests import hello_of, of_client, request_type
+from deltaq_services.hli.line_requests import MAX_LINE_BYTES, ReceivedLines, hello_of, of_client, request_type
+from deltaq_services.hli.newcomers import identity_of
 from deltaq_services.hli.port import Port
-from deltaq_services.hli.received_lines import MAX_LINE_BYTES, ReceivedLines
-from deltaq_services.hli.refusals import answered_by_error
+from deltaq_services.hli.state import answered_by_error
 from deltaq_services.outputs import ClientOrigin, Output, Sender, ToSender
 
 MAX_MALFORMED_IN_A_ROW = 100

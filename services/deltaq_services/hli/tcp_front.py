@@ -13,13 +13,10 @@ from deltaq_protocol.codec import to_line
 from deltaq_protocol.messages import Error, Hello, RobotState
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.deeds import Deed
-from deltaq_services.hli.handshake import HANDSHAKE_S, Handshake
-from deltaq_services.hli.line_turns import LineTurns
-from deltaq_services.hli.newcomers import Newcomers
-from deltaq_services.hli.places import MAX_CONNECTIONS, MAX_OF_A_PEER, Place, Places
+from deltaq_services.hli.newcomers import HANDSHAKE_S, Handshake, Newcomers
+from deltaq_services.hli.places import MAX_CONNECTIONS, MAX_OF_A_PEER, LineTurns, Place, Places, WaitingPlaces
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.tcp_connection import TcpConnection, address_of
-from deltaq_services.hli.waiting_places import WaitingPlaces
 from deltaq_services.outputs import ClientOrigin
 from deltaq_services.tries import Tries
 

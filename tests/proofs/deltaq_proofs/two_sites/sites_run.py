@@ -25,7 +25,7 @@ from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.given_token import CLIENT_TOKEN, OPERATOR_TOKEN
 from deltaq_protocol.sayings import HLI, services
 from deltaq_services.guarded_key import KEY_FILE
-from deltaq_services.hli.client_tokens import CONTROLLER_TOKEN
+from deltaq_services.hli.client_roles import CONTROLLER_TOKEN
 
 DELTAQ = (sys.executable, "-c", "from deltaq_command import main; main()")
 _STARTS_WITHIN_S = 120.0
