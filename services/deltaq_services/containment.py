@@ -54,13 +54,12 @@ class Containment:
             kept.append((part, attributes))
         self._kept, self.failed = kept, False
 
-    def put_back(self, error: Exception) -> None:
-        """Make the parts what they were when `remember` was called last, and note the error."""
+    def put_back(self) -> None:
+        """Make the parts what they were when `remember` was called last."""
         for part, attributes in self._kept:
             vars(part).clear()
             vars(part).update(attributes)
         self._kept = []
-        self.note(error)
 
     def note(self, error: Exception) -> None:
         """Note an error, whose traceback is to be logged."""

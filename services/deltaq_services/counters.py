@@ -213,6 +213,11 @@ COUNTERS: tuple[Counted, ...] = (
         "supervision_of_another_cell",
         "heartbeats of a gate that has read another description of the cell",
     ),
+    Counted(
+        ROBOT_SERVER,
+        "internal_errors",
+        "messages, cycles and telegrams that failed with an error that nobody foresaw; each holds the robot",
+    ),
     Counted(ROBOT_SERVER, "krc_silent", "times that the KRC sent nothing for longer than it may"),
     Counted(ROBOT_SERVER, "modes_refused", "sessions of a KRC that does not take corrections as offsets"),
     Counted(

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import logging
 
+import numpy as np
 import pytest
 from gate_rig import CELL, SMALL, Rig
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from injected import error_in_call
 
 from deltaq_protocol.messages import Outcome, Phase
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.sim.core import Sim
 
 GATE = ("deltaq_services.sim", "deltaq_cell", "deltaq_protocol.setpoint_motion", "deltaq_protocol.receipts")
 
+SERVER = ("deltaq_services.robot_server", "deltaq_services.phases", "deltaq_protocol.setpoint_motion")
 FIRST = 3
 """The first call that a message causes: those before it are `take` itself, and what it is to be put back to."""
 
@@ -163,3 +166,49 @@ def test_a_traceback_is_logged_once_for_each_place_that_fails(rig, caplog):
     assert len(caplog.records) == 1
     assert "ZeroDivisionError: nobody foresaw it" in caplog.text
     assert "in decide\n" in caplog.text
+
+
+@settings(max_examples=15)
+@given(share=st.floats(0, 1))
+def test_wherever_a_cycle_of_a_robot_server_fails_its_robot_brakes_and_can_be_reset(share):
+    rig = Rig()
+    for _ in range(5):
+        drive(rig, "fr", (-1e-3, *SMALL[1:])), drive(rig, "gr", (*SMALL, 0.0, 0.0, 0.0))
+        rig.cycle()
+    server = rig.servers["fr"]
+    assert rig.state.phase is Phase.ENGAGED
+    drive(rig, "fr", (-1e-3, *SMALL[1:]))
+    server.take(rig.mail["fr"][0], rig.time_s)
+    measured = Measurement(round(rig.time_s * 1000) + 12, rig.q["fr"], None)
+    before, brake = server.snapshot(), server.motion.braked()
+    with error_in_call(None, *SERVER) as calls:
+        server.take(measured, rig.time_s)
+    server.restore(before)
+    with error_in_call(FIRST + int(share * (calls.count - FIRST)), *SERVER):
+        (setpoint,) = server.take(measured, rig.time_s)
+    assert server.counters["internal_errors"] == 1
+    np.testing.assert_array_equal(setpoint.q_cmd, brake.q_cmd)
+    rig.q["fr"] = setpoint.q_cmd
+    assert (server.state.phase, server.state.reason) == (Phase.HELD, ReasonCode.INTERNAL_ERROR)
+    for _ in range(10):
+        rig.cycle()
+        assert drive(rig, "gr", (*SMALL, 0.0, 0.0, 0.0)).outcome is Outcome.ADMITTED
+    assert not rig.sim.disbelieved
+    rig.command(kind="reset", robot="fr")
+    rig.cycle(), rig.cycle()
+    assert rig.state.phase is Phase.READY
+
+
+def test_a_robot_server_that_cannot_even_brake_leaves_it_to_the_process_beside_it(rig, monkeypatch):
+    server = rig.servers["fr"]
+    monkeypatch.setattr(server, "_watch", lambda _: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        server.take(Measurement(12, rig.q["fr"], None), rig.time_s)
+
+
+def test_an_admission_that_fails_is_as_one_that_was_lost(rig, monkeypatch):
+    drive(rig, "fr", SMALL)
+    monkeypatch.setattr(rig.servers["fr"]._admissions, "put", lambda *_: 1 / 0)
+    rig.cycle()
+    assert (rig.state.phase, rig.state.reason) == (Phase.HELD, ReasonCode.INTERNAL_ERROR)
+    assert not np.any(rig.state.dq)

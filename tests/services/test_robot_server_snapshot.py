@@ -103,6 +103,8 @@ def test_a_snapshot_leaves_out_nothing_but_what_is_fixed_and_what_is_counted():
     fixed = {
         "robot",
         "counters",
+        "containment",
+        "guarded",
         "_identity",
         "_bounds",
         "_new_mode",

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 import signal
 import socket
 import threading
 
 import numpy as np
 import pytest
+from injected import error_in_call
 from krc_side import CELL, FR, KRC, XML, telegram
 
 from deltaq_cell.identity import content_identity
@@ -131,3 +133,40 @@ def test_a_reply_that_the_guard_refuses_repeats_the_last_correction_and_holds_th
     assert again.partition(b"<IPOC>")[0] == before.partition(b"<IPOC>")[0]
     assert rig.server.state.reason is ReasonCode.REPLY_REFUSED
     assert rig.server.state.phase is Phase.HELD
+
+
+@pytest.mark.parametrize(
+    ("place", "answers"),
+    [
+        ("deltaq_services.robot_server.plausibility", False),  # a telegram is read
+        ("deltaq_services.robot_server.admissions_due", True),  # a cycle is decided
+        ("deltaq_services.robot_server.reply_guard", False),  # a reply is made
+        ("deltaq_services.pace", True),  # the state is published
+    ],
+)
+def test_an_error_anywhere_in_the_loop_holds_the_robot_and_the_next_telegram_is_answered(
+    rig, place, answers, caplog
+):
+    while rig.server.detail:
+        rig.cycle()
+    assert rig.server.state.phase is Phase.READY
+    with error_in_call(1, place) as calls:
+        if answers:
+            rig.cycle()
+        else:
+            rig.send()
+            rig.loop._read(rig.now_s)
+    assert calls.count == 1
+    rig.loop._server.containment.log_once(logging.getLogger("test"))
+    assert "InjectedError" in caplog.text
+    for _ in range(10):
+        rig.cycle()
+    assert rig.server.counters["internal_errors"] == 1
+    assert (rig.server.state.phase, rig.server.state.reason) == (Phase.HELD, ReasonCode.INTERNAL_ERROR)
+    resets = rig.server.state.resets + 1
+    identity = str(content_identity(CELL))
+    order = Supervision(robot="fr", epoch=1, cycle=0, resets=resets, cell=identity)
+    rig.server.take(order, rig.now_s)
+    rig.send()
+    rig.loop._read(rig.now_s)
+    assert rig.server.state.phase is Phase.READY

@@ -47,7 +47,11 @@ class Rig:
             measured = Measurement(round(self.time_s * 1000), q, start)
             admission, supervision = self.mail[name]
             self.mail[name] = (None, None)
-            self.q[name] = server.cycle(measured, self.time_s, admission, supervision)
+            for message in (admission, supervision):
+                if message is not None:
+                    server.take(message, self.time_s)
+            (setpoint,) = server.take(measured, self.time_s)
+            self.q[name] = setpoint.q_cmd
             self.deliver(self.sim.take(server.state))
 
     def restart_server(self, robot):

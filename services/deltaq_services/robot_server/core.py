@@ -22,6 +22,7 @@ from deltaq_protocol.guarded import Admission, ServerState, Supervision
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.setpoint_motion import SetpointMotion
+from deltaq_services.containment import Containment
 from deltaq_services.outputs import ToRobot
 from deltaq_services.phases import MAY_MOVE, Event, next_phase
 from deltaq_services.robot_server.admissions_due import AdmissionsDue
@@ -83,6 +84,7 @@ class RobotServer:
         self._told: tuple[Measurement, float] | None = None
         self._admissions = AdmissionsDue(cell.gate.lookahead_cycles)
         self._supervision: Supervision | None = None
+        self.containment = Containment(lambda: (self, self._mode, self._pulses, self._admissions))
 
     @property
     def state(self) -> ServerState | None:
@@ -156,6 +158,9 @@ class RobotServer:
     def take(self, message: Admission | Supervision | Measurement, time_s: float) -> list[ToRobot]:
         """Take what has come: an admission waits for its cycle, the newest heartbeat counts, a measurement is a cycle.
 
+        A message that an error nobody foresaw comes of is refused, and the robot is held. A cycle that fails is one of
+        the brake; what fails at that too is raised, since another process brakes the robot when this one has ended.
+
         Args:
             message: of the gate, or of the robot's driver.
             time_s: when it came, for the published state only.
@@ -166,18 +171,35 @@ class RobotServer:
         Raises:
             TypeError: for a message of a type that is not sent here.
         """
+        if not isinstance(message, Admission | Supervision | Measurement):
+            raise TypeError(
+                f"a Robot Server takes admissions, heartbeats and measurements, got a {type(message).__name__}"
+            )
+        self.containment.remember()
+        try:
+            return self._take(message, time_s)
+        except Exception as error:
+            self.containment.put_back()
+            self.failed(error)
+        return self._take(message, time_s) if isinstance(message, Measurement) else []
+
+    def failed(self, error: Exception) -> None:
+        """Hold the robot after an error that nobody foresaw; nothing that the gate has said goes on."""
+        self.containment.note(error)
+        self.counters["internal_errors"] += 1
+        self._stop(ReasonCode.INTERNAL_ERROR)
+        self._admissions.forget()
+        self._supervision = self._state = None
+
+    def _take(self, message: Admission | Supervision | Measurement, time_s: float) -> list[ToRobot]:
         if isinstance(message, Admission):
             self._keep(message)
         elif isinstance(message, Supervision):
             self._supervision = message
-        elif isinstance(message, Measurement):
+        else:
             supervision, self._supervision = self._supervision, None
             q_cmd = self.cycle(message, time_s, supervision=supervision)
             return [ToRobot(q_cmd, self.outputs, self.motion_stop)]
-        else:
-            raise TypeError(
-                f"a Robot Server takes admissions, heartbeats and measurements, got a {type(message).__name__}"
-            )
         return []
 
     def snapshot(self) -> ServerMemory:

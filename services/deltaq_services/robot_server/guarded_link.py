@@ -81,6 +81,11 @@ class GuardedLink:
         received = self._received(self._supervisions, Supervision)
         return received[-1] if received else None
 
+    def heard(self) -> list[Admission | Supervision]:
+        """The admissions since the last call, and the newest heartbeat of the gate, if any."""
+        supervision = self.supervision()
+        return [*self.admissions(), *([] if supervision is None else [supervision])]
+
     def publish(self, state: ServerState | None, time_s: float, detail: Callable[[], str] = str) -> None:
         """Publish the state, and at the pace of the table of topics a heartbeat, for which alone `detail` is asked."""
         self._exchange_greetings(time_s)

@@ -5,15 +5,19 @@ One thread, and one cycle of it:
 1. Wait for the telegram.
 2. Take what has come from the gate, decide, and send the reply.
 3. Publish.
+
+An error that nobody foresaw in any of them holds the robot: a telegram that cannot be read is none, a reply that cannot
+be made is none that was sent. Only a core that cannot even brake ends the process.
 """
 
 from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 
-from deltaq_protocol.guarded import Admission, Supervision
+from deltaq_services.containment import Containment
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.crash_brake.record_maker import CrashRecordMaker
 from deltaq_services.robot_server.ending import Ending
@@ -53,6 +57,7 @@ class RsiLoop:
         self._silence_s, self._records = silence_s, records
         self._silent_s = 0.0
         self._cycle_fault = ""
+        self._driver = Containment(lambda: (rsi, rsi.session))
 
     def run(self) -> None:
         """Answer telegrams until the process may end."""
@@ -60,18 +65,20 @@ class RsiLoop:
         while not self._ending.over:
             self._krc.wait(self._silent_s - time.monotonic())
             self._read(time.monotonic())
+            self._server.containment.log_once(_log)
             if self._krc.watch is not None:
                 self._krc.watch.mend(time.monotonic())
 
     def _read(self, now_s: float) -> None:
         """Answer the telegram that has come, if one has, or notice that the KRC is silent."""
-        measured = self._krc.read(now_s)
+        measured = None
+        self._driver.remember()
+        with self._held_by_errors(self._driver.put_back):
+            measured = self._krc.read(now_s)
         if measured is not None:
             self._silent_s = now_s + self._silence_s
             self._decide(measured, now_s)
-            self._link.publish(
-                self._server.state, now_s, lambda: _told(self._server.detail, self._krc.detail)
-            )
+            self._publish(now_s)
             self._ending.cycle_passed()
             self._warn(measured.cycle_fault)
             return
@@ -80,12 +87,26 @@ class RsiLoop:
         if now_s >= self._silent_s:
             self._silent_s = now_s + self._silence_s
             self._server.krc_silent(now_s)
-            self._link.publish(
-                self._server.state, now_s, lambda: _told("KRC silent", self._server.detail, self._krc.detail)
-            )
+            self._publish(now_s, "KRC silent")
             self._ending.krc_silent()
         else:
-            self._link.publish(None, now_s, lambda: _told("waiting for a position", self._krc.detail))
+            with self._held_by_errors():
+                self._link.publish(None, now_s, lambda: _told("waiting for a position", self._krc.detail))
+
+    def _publish(self, now_s: float, what: str = "") -> None:
+        with self._held_by_errors():
+            state = self._server.state
+            self._link.publish(state, now_s, lambda: _told(what, self._server.detail, self._krc.detail))
+
+    @contextmanager
+    def _held_by_errors(self, undo: Callable[[], None] | None = None) -> Iterator[None]:
+        """Holds the robot if an error befalls the block, and undoes what the block has done."""
+        try:
+            yield
+        except Exception as error:
+            if undo is not None:
+                undo()
+            self._server.failed(error)
 
     def _warn(self, cycle_fault: str) -> None:
         """Log why the KRC's cycle is not the cell's, once while it is not."""
@@ -93,23 +114,22 @@ class RsiLoop:
             _log.warning("%s", cycle_fault)
         self._cycle_fault = cycle_fault
 
-    def _hear(self, now_s: float) -> None:
-        """Hand the core what has come from the gate."""
-        messages: list[Admission | Supervision] = [*self._link.admissions()]
-        supervision = self._link.supervision()
-        if supervision is not None:
-            messages.append(supervision)
-        for message in messages:
-            self._server.take(message, now_s)
-
     def _decide(self, measured: Measurement, now_s: float) -> None:
-        self._hear(now_s)
+        with self._held_by_errors():
+            for message in self._link.heard():
+                self._server.take(message, now_s)
         self._server.guarded = self._krc.is_guarded
         (setpoint,) = self._server.take(measured, now_s)
         stop = self._ending.stop or setpoint.motion_stop
-        reply = self._rsi.reply(setpoint.q_cmd, setpoint.outputs, stop)
-        self._krc.send_setpoint(reply, self._recorded(measured.ipoc, setpoint.outputs))
-        if self._rsi.fault is not None:
+        reply = None
+        self._driver.remember()
+        with self._held_by_errors(self._driver.put_back):
+            reply = self._rsi.reply(setpoint.q_cmd, setpoint.outputs, stop)
+            record = self._recorded(measured.ipoc, setpoint.outputs)
+        if reply is not None:
+            with self._held_by_errors():
+                self._krc.send_setpoint(reply, record)
+        if reply is None or self._rsi.fault is not None:
             self._server.reply_refused(self._rsi.q_sent)
 
     def _recorded(self, ipoc: int, outputs: Mapping[str, bool]) -> bytes | None:

@@ -77,10 +77,18 @@ def _serve_kinematic(cell: CellDescription, server: RobotServer) -> None:
             time.sleep(max(0.0, start_s + cycle * cell.cycle_s - time.monotonic()))
             now_s = time.monotonic()
             measured = Measurement(ipoc=cycle * cycle_ms, q=q, q_start=q if cycle == 1 else None)
-            for admission in link.admissions():
-                server.take(admission, now_s)
-            q = server.cycle(measured, now_s, supervision=link.supervision())
-            link.publish(server.state, now_s)
+            try:
+                for message in link.heard():
+                    server.take(message, now_s)
+            except Exception as error:  # what has come is as if it were lost
+                server.failed(error)
+            (setpoint,) = server.take(measured, now_s)
+            q = setpoint.q_cmd
+            try:
+                link.publish(server.state, now_s)
+            except Exception as error:  # so is what was not said
+                server.failed(error)
+            server.containment.log_once(_log)
             ending.cycle_passed()
     finally:
         link.close()

@@ -119,7 +119,8 @@ class Sim:
                 return self.on_request(message)
             return self.on_command(message)
         except Exception as error:  # none may end the gate, and with it every robot's motion
-            self.containment.put_back(error)
+            self.containment.put_back()
+            self.containment.note(error)
             return self._failed(message)
 
     def _failed(self, message: ServerState | Request | Command) -> list[ToTopic]:
