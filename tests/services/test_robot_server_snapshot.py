@@ -109,7 +109,6 @@ def test_a_snapshot_leaves_out_nothing_but_what_is_fixed_and_what_is_counted():
         "_bounds",
         "_new_mode",
         "_new_lag_watch",
-        "guarded",
         "_gate_timeout_cycles",
         "_krc_timeout_cycles",
     }

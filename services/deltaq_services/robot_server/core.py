@@ -84,7 +84,7 @@ class RobotServer:
         self._told: tuple[Measurement, float] | None = None
         self._admissions = AdmissionsDue(cell.gate.lookahead_cycles)
         self._supervision: Supervision | None = None
-        self.containment = Containment(lambda: (self, self._mode, self._pulses, self._admissions))
+        self.containment = Containment(self._parts)
 
     @property
     def state(self) -> ServerState | None:
@@ -190,6 +190,11 @@ class RobotServer:
         self._stop(ReasonCode.INTERNAL_ERROR)
         self._admissions.forget()
         self._supervision = self._state = None
+
+    def _parts(self) -> tuple[object, ...]:
+        """The objects that change."""
+        lag = () if self._lag is None else (self._lag,)
+        return self, self._mode, self._pulses, self._admissions, *lag
 
     def _take(self, message: Admission | Supervision | Measurement, time_s: float) -> list[ToRobot]:
         if isinstance(message, Admission):

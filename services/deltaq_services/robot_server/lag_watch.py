@@ -109,7 +109,7 @@ class LagWatch:
         for _ in range(min(round(passed / self._ipoc_step) - 1, self._longest)):
             self._sent(self._setpoints[0])
         if missed_last:
-            self._setpoints[0] = self._setpoints[1]
+            self._setpoints = np.vstack([self._setpoints[1], self._setpoints[1:]])
         if self._rested < self._longest:
             self._measure(q)
         self._sent(setpoint)
@@ -126,17 +126,14 @@ class LagWatch:
     def _sent(self, setpoint: Array) -> None:
         self._rested = self._rested + 1 if np.array_equal(setpoint, self._setpoints[0]) else 0
         if self._rested <= self._longest:
-            self._setpoints[1:] = self._setpoints[:-1]
-            self._setpoints[0] = setpoint
+            self._setpoints = np.vstack([setpoint, self._setpoints[:-1]])
 
     def _measure(self, q: Array) -> None:
         guess = np.clip(np.rint(self._delay_s / self._cycle_s), 2, self._longest - 1).astype(np.intp)
         rows = guess - 1  # the newest setpoint was sent one cycle ago
         speed = (self._setpoints[rows - 1, self._columns] - self._setpoints[rows + 1, self._columns]) / 2
         rest = self._setpoints[rows, self._columns] - q
-        self._sums *= self._keep
-        self._sums[0] += speed * (rest + guess * speed)
-        self._sums[1] += speed * speed
+        self._sums = self._keep * self._sums + np.vstack([speed * (rest + guess * speed), speed * speed])
         self._moves, self._delay_s = self._mean()
         settled_s = self._delay_s + self._settling_s
         beyond = self._moves & (settled_s > self._presumed_s + self._cycle_s)
