@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+import coal
 import numpy as np
 import pinocchio as pin
 
@@ -27,6 +28,9 @@ LEAST_REACH_M = 0.5
 
 SMALLEST_LARGEST_BODY = 0.02
 """Least extent of a robot's largest body by its reach; of public robots it is 0.2."""
+
+SMALLEST_MESH = 5e-4
+"""Least extent of a mesh by the robot's reach: what is left of a link that is taken for a thousandth of its size."""
 
 
 def check_rotations(model: Any, bodies: Iterable[Any], configurations: Sequence[Array], source: str) -> None:
@@ -64,7 +68,7 @@ def check_rotations(model: Any, bodies: Iterable[Any], configurations: Sequence[
 
 
 def check_sizes(bodies: Sequence[Any], reach_m: float, source: str) -> None:
-    """Check that a robot's bodies are neither far larger nor all far smaller than the robot.
+    """Check that no body of a robot is far larger or far smaller than the robot.
 
     Args:
         bodies: pinocchio geometry objects; not empty.
@@ -72,21 +76,19 @@ def check_sizes(bodies: Sequence[Any], reach_m: float, source: str) -> None:
         source: what an error calls the model.
 
     Raises:
-        RobotModelError: they are; the error names the largest body.
+        RobotModelError: one is; the error names it.
     """
     extents = [extent(body) for body in bodies]
-    largest = max(extents)
-    name, most = bodies[extents.index(largest)].name, LARGEST_BODY * max(reach_m, LEAST_REACH_M)
-    advice = "is it in other units? give its mesh a scale, such as 0.001 for millimetres"
-    if not largest <= most:
-        text = f"body '{name}' is {largest:.4g} m long, on a robot that reaches {reach_m:.4g} m; {advice}"
-        raise RobotModelError(f"{source}: {text}", ("model",))
-    if largest < SMALLEST_LARGEST_BODY * reach_m:
-        text = (
-            f"the largest body, '{name}', is {largest:.4g} m long, on a robot that reaches {reach_m:.4g} m; "
-            "is it in other units? correct the scale of the meshes"
-        )
-        raise RobotModelError(f"{source}: {text}", ("model",))
+    largest, most = max(extents), LARGEST_BODY * max(reach_m, LEAST_REACH_M)
+    for body, size in zip(bodies, extents, strict=True):
+        is_small = size < SMALLEST_LARGEST_BODY * reach_m and size == largest
+        is_small |= size < SMALLEST_MESH * reach_m and isinstance(body.geometry, coal.Convex)
+        if is_small or not size <= most:
+            raise RobotModelError(
+                f"{source}: body '{body.name}' is {size:.4g} m long, on a robot that reaches {reach_m:.4g} m; is it in "
+                "other units? give its mesh another scale, such as 0.001 for millimetres",
+                ("model",),
+            )
 
 
 def extent(body: Any) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 
 import coal
@@ -37,9 +38,14 @@ def collision_geometry(
     names = collision_names(urdf)
     bodies = []
     parsed = parse_geometry(urdf, pin.GeometryType.COLLISION, T_world_base, locked, hulls)
-    if parsed.ngeoms != (given := sum(map(len, names.values()))):
-        text = f"{urdf.source}: only {parsed.ngeoms} of its {given} collision bodies are of a kind that can be read"
-        raise RobotModelError(text, ("model",))
+    found = Counter(body.name.rsplit("_", 1)[0] for body in parsed.geometryObjects)
+    for link, given in names.items():
+        if found[link] != len(given):
+            text = (
+                f"{urdf.source}: link '{link}': {found[link]} of its {len(given)} collision bodies can be read; "
+                "correct the link, such as an <inertial> without <inertia>"
+            )
+            raise RobotModelError(text, ("model",))
     for body in parsed.geometryObjects:
         link, index = body.name.rsplit("_", 1)  # pinocchio numbers the bodies of a link
         name = names[link][int(index)]

@@ -125,8 +125,8 @@ def _built(urdf: Urdf, tree: ElementTree.Element) -> Any:
 
 
 def _line(error: Exception) -> str:
-    """The last line that pinocchio or coal says; those before it name files and functions of theirs."""
-    return (str(error).strip().splitlines() or [type(error).__name__])[-1].removeprefix("message: ")
+    """What pinocchio or coal says, in one line, without the file and function of theirs."""
+    return " ".join(str(error).rpartition("message: ")[2].split())
 
 
 def _locks(urdf: Urdf, model: Any, locked: Mapping[str, float]) -> tuple[list[int], Any]:
@@ -213,7 +213,7 @@ def _mimics(urdf: Urdf, tree: ElementTree.Element) -> dict[str, tuple[str, float
 
 
 def _judge_link(urdf: Urdf, link: ElementTree.Element) -> None:
-    """Judge the sizes and placements of a link's bodies as those of a cell's own.
+    """Judge the sizes and placements of a link's bodies as those of a cell's own; a visual body may have no size.
 
     Raises:
         RobotModelError: one is no number, out of bounds, or a size that is not above zero.
@@ -225,7 +225,7 @@ def _judge_link(urdf: Urdf, link: ElementTree.Element) -> None:
             for shape in body.iterfind("geometry/*"):
                 for attribute, count in SIZES.get(shape.tag, {}).items():
                     for size in _numbers(urdf, what, shape, attribute, count, None):
-                        if not 0 < size <= MOST_M:
+                        if not abs(size) <= MOST_M or (size <= 0 and kind == "collision"):
                             text = (
                                 f"{urdf.source}: {what}: {attribute} of its {shape.tag} is {size:g}; it must be more "
                                 f"than 0 and at most {MOST_M:g} m"

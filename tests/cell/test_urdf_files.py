@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import sys
+from collections import Counter
 from pathlib import Path
+from typing import Any
 
+import coal
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.check import check_cell
-from deltaq_cell.models import RobotModelError
+from deltaq_cell.description import RobotDescription
+from deltaq_cell.models import RobotModelError, load_urdf
 from deltaq_cell.plausible import extent
+from deltaq_cell.robot import RobotModel
+from deltaq_cell.urdf_parsing import parse_model
 from deltaq_protocol.messages import Outcome
 from deltaq_verification.virtual_cell.cell import VirtualCell
 
@@ -152,13 +160,22 @@ def test_a_robot_of_which_most_pairs_always_touch_is_an_error(tmp_path: Path) ->
 def test_meshes_far_smaller_than_the_robot_are_an_error(tmp_path: Path) -> None:
     (tmp_path / "m.dae").write_text(collada('<unit meter="0.001"/>', 1))
     message = told(tmp_path, arm(shape='<mesh filename="m.dae"/>'))
-    assert "the largest body, 'r/l0', is 0.0003 m long" in message
+    assert "body 'r/l0' is 0.0003 m long, on a robot that reaches 1.8 m" in message
+    message = told(
+        tmp_path, arm(shape='<mesh filename="m.dae"/>').replace('<mesh filename="m.dae"/>', BOX, 3)
+    )
+    assert "body 'r/l3' is 0.0003 m long" in message
 
 
 @pytest.mark.parametrize("unit", ["0", "-1", "nan", "a metre"])
 def test_a_mesh_of_no_unit_is_refused(tmp_path: Path, unit: str) -> None:
     (tmp_path / "m.dae").write_text(collada(f'<unit meter="{unit}"/>', 1))
     assert "m.dae cannot be read" in told(tmp_path, arm(shape='<mesh filename="m.dae"/>'))
+
+
+def test_a_body_that_urdfdom_drops_without_a_word_is_an_error(tmp_path: Path) -> None:
+    text = arm().replace('<link name="l2">', '<link name="l2"><inertial><mass value="1"/></inertial>')
+    assert "link 'l2': 0 of its 1 collision bodies can be read" in told(tmp_path, text)
 
 
 def test_an_urdf_that_is_nested_without_end_is_refused_in_a_line(tmp_path: Path) -> None:
@@ -295,3 +312,102 @@ def test_a_file_uri_may_have_escapes(tmp_path: Path) -> None:
     assert "%20" in uri
     file = cell(tmp_path, arm(shape=f'<mesh filename="{uri}"/>'), ("j1", "j2", "j3", "j4"))
     assert check_cell(file).problems == ()
+
+
+PUBLIC = sorted(
+    file
+    for place in sys.path
+    for file in (Path(place) / "cmeel.prefix" / "share" / "example-robot-data" / "robots").rglob("*.urdf")
+)
+
+REFUSED = {
+    "TwoDofs", "alex_psyonic_hands", "alexander_v1.lowerBodyOnly", "human", "iris_simple", "quadrotor_base",
+    "simple_humanoid_classical", "talos_full_v2", "talos_full_v2_box", "ur3",
+}  # fmt: skip
+"""Without bodies, joints or meshes, or with a mimic of no joint."""
+
+
+def described(urdf: Path) -> RobotDescription:
+    """A robot with all joints of a URDF, and its limits, at most a turn."""
+    model = parse_model(load_urdf(urdf), {})
+    joints = {}
+    if not model.nq:
+        raise RobotModelError("it has no joints")
+    for index, joint in enumerate(list(model.joints)[1:]):
+        if joint.nq != 1:
+            raise RobotModelError("a joint is neither revolute nor prismatic")
+        unit, factor = ("deg", np.rad2deg(1.0)) if joint.shortname().startswith("JointModelR") else ("m", 1.0)
+        lower, upper = (
+            max(model.lowerPositionLimit[index], -np.pi),
+            min(model.upperPositionLimit[index], np.pi),
+        )
+        joints[model.names[index + 1]] = {
+            f"home_{unit}": (lower + upper) / 2 * factor, f"lower_{unit}": lower * factor,
+            f"upper_{unit}": max(upper, lower + 1e-6) * factor, f"max_velocity_{unit}_s": 1,
+            "max_acceleration_rad_s2" if unit == "deg" else "max_acceleration_m_s2": 1,
+        }  # fmt: skip
+    driver = {"kind": "kinematic"}
+    return RobotDescription.model_validate(
+        {"model": str(urdf), "server": "tcp/127.0.0.1:17451", "driver": driver, "joints": joints}
+    )
+
+
+def box_around(shape: Any, place: pin.SE3) -> np.ndarray:
+    """(2, 3) corners of the box around a placed shape, axes of the world [m]."""
+    if isinstance(shape, coal.Convex) or hasattr(shape, "vertices"):
+        points = (
+            [shape.point(k) for k in range(shape.num_points)]
+            if isinstance(shape, coal.Convex)
+            else shape.vertices()
+        )
+        placed = np.array(points) @ place.rotation.T + place.translation
+        return np.array([placed.min(axis=0), placed.max(axis=0)])
+    z = np.abs(place.rotation[:, 2])
+    if isinstance(shape, coal.Box):
+        half = np.abs(place.rotation) @ shape.halfSide
+    elif isinstance(shape, coal.Cylinder):
+        half = z * shape.halfLength + shape.radius * np.sqrt(np.maximum(0.0, 1.0 - z**2))
+    else:
+        half = z * getattr(shape, "halfLength", 0.0) + shape.radius
+    return np.array([place.translation - half, place.translation + half])
+
+
+def boxes(model: pin.Model, geometry: pin.GeometryModel, q: np.ndarray) -> dict[tuple[int, int], np.ndarray]:
+    """By joint and place among its bodies the box around each, axes of the world: (2, 3) corners [m]."""
+    data, placed = model.createData(), pin.GeometryData(geometry)
+    pin.updateGeometryPlacements(model, data, geometry, placed, q)
+    found = {}
+    count: Counter[int] = Counter()
+    for body, place in zip(geometry.geometryObjects, placed.oMg, strict=True):
+        joint = int(body.parentJoint)
+        found[joint, count[joint]] = box_around(body.geometry, place)
+        count[joint] += 1
+    return found
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("urdf", PUBLIC, ids=lambda file: file.stem)
+def test_a_public_urdf_is_guarded_as_pinocchio_places_it_or_refused_with_a_line(urdf: Path) -> None:
+    try:
+        robot = RobotModel(described(urdf), "r")
+        assert robot.never_checked is not None
+    except RobotModelError:
+        assert urdf.stem in REFUSED
+        return
+    model = pin.buildModelFromUrdf(str(urdf))
+    folders = [str(folder) for folder in urdf.parents]
+    geometry = pin.buildGeomFromUrdf(model, str(urdf), pin.GeometryType.COLLISION, package_dirs=folders)
+    random = np.random.default_rng(0)
+    for _ in range(3):
+        q = random.uniform(robot.lower, robot.upper)
+        theirs = pin.neutral(model)
+        for joint, angle in zip(list(model.joints)[1:], q, strict=True):
+            # a continuous joint is given by cosine and sine
+            theirs[joint.idx_q : joint.idx_q + joint.nq] = (
+                angle if joint.nq == 1 else (np.cos(angle), np.sin(angle))
+            )
+        ours = boxes(robot.model, robot.geometry, q)
+        for key, box in boxes(model, geometry, theirs).items():
+            beyond = np.array([box[0] - ours[key][0], ours[key][1] - box[1]])
+            assert beyond.min() > -1e-6, key  # nothing of it sticks out
+            assert beyond.max() < 0.25 * np.ptp(box, axis=0).max() + 1e-6, key  # a hull has 32 corners
