@@ -67,6 +67,8 @@ def demo(
         if open_console and address is not None:
             webbrowser.open(address)
         summary, problems = _follow(launcher, description, duration_s, output)
+    if launcher.unrested:
+        problems.append(f"the robots could not be asked to rest: {launcher.unrested}")
     if json:
         print_json(summary)
     else:
@@ -110,7 +112,8 @@ def _wait(
     """
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from deltaq_launch.child_process import Exited
+    from deltaq_command.up import tell_of_console
+    from deltaq_launch.child_process import Exited, Ready
     from deltaq_launch.launcher import Interrupted, describe_exit
 
     begin = time.monotonic()
@@ -130,6 +133,10 @@ def _wait(
                 case Interrupted(number):
                     launcher.say(f"{number.name}: bringing the robots to rest")
                     return []
+                case Ready("console"):
+                    tell_of_console(launcher, wanted=True)
+                case Exited("console", status):
+                    launcher.say(f"{describe_exit('console', status)}; the demonstration goes on without it")
                 case Exited(name, status):
                     return [f"{describe_exit(name, status)} during the demonstration"]
     return []

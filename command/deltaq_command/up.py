@@ -103,7 +103,7 @@ def up(
                 log("deltaq", f"no audit log: {why_none}")
         tell_of_console(launcher, with_console)
         ended = watch(launcher, cell)
-    if ended:
+    if ended or launcher.unrested:
         raise typer.Exit(BAD)
 
 
@@ -135,12 +135,14 @@ def tell_of_console(launcher: Launcher, wanted: bool) -> str | None:
 
 def watch(launcher: Launcher, cell: str) -> list[str]:
     """Wait for a signal, or until no service is left; returns the services that ended on their own."""
-    from deltaq_launch.child_process import Exited
+    from deltaq_launch.child_process import Exited, Ready
     from deltaq_launch.launcher import Interrupted, describe_exit
 
     ended: list[str] = []
-    while len(ended) < len(launcher.services):
+    while len(ended) < len(launcher.children):
         match launcher.wait():
+            case Ready("console"):
+                tell_of_console(launcher, wanted=True)
             case Interrupted(number):
                 launcher.say(f"{number.name}: bringing the robots to rest, then ending the services")
                 return ended

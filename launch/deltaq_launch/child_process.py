@@ -11,6 +11,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from deltaq_protocol.log import message_of
 
@@ -142,6 +143,14 @@ class Child:
     def status(self) -> int | None:
         """Exit status, None while it runs."""
         return self._process.returncode if self.exited.is_set() else None
+
+    @property
+    def used_s(self) -> float:
+        """Processor time that it and its ended children have used [s]; 0 once it has ended."""
+        with contextlib.suppress(OSError):
+            fields = Path(f"/proc/{self.pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+            return sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
+        return 0.0
 
     def stop(self, grace_s: float) -> bool:
         """Ask it to end, and kill whatever is left of its process group after `grace_s`.

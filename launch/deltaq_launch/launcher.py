@@ -21,7 +21,7 @@ from deltaq_launch.child_process import Child, Exited, Lifeline, Ready
 from deltaq_launch.errors import LaunchError, LaunchInterruptedError
 from deltaq_launch.given_tokens import ConsoleToken, console_needs_token, controllers_token
 from deltaq_launch.launch_key import LaunchKey
-from deltaq_launch.services import BRAKING_ROLES, ListeningSocket, Role, Service
+from deltaq_launch.services import BRAKING_ROLES, OPTIONAL_ROLES, ListeningSocket, Role, Service
 from deltaq_launch.warden import Warden
 from deltaq_protocol.certified.names import IDENTITY
 from deltaq_protocol.errors import DeltaqError
@@ -32,10 +32,38 @@ from deltaq_services.robot_server.crash_brake.core import PORT_PATIENCE_S
 
 SHOWN_LINES = 12
 GRACE_S = 5.0
-START_TIMEOUT_S = 60.0
+IDLE_S = 60.0
+"""A service that neither serves nor works for so long will not."""
+TOLD_EVERY_S = 15.0
+"""A service that works on its start is named this often."""
+_LEAST_SHARE = 0.02
+"""Of one core; a process that only waits uses less, and one that starts on a busy machine more."""
 HEED_S = 0.5
 """After which a signal is heeded at the latest."""
 _LOOK_S = 0.02
+
+
+class _Starting:
+    """A process that does not serve yet.
+
+    Attributes:
+        begun_s, worked_s: when it began, and when it was last seen to work, on the monotonic clock.
+        used_s: processor time that it had used when it was looked at last.
+    """
+
+    def __init__(self, child: Child) -> None:
+        self._child = child
+        self.begun_s = self.worked_s = self._looked_s = time.monotonic()
+        self.used_s = 0.0
+
+    def works(self) -> bool:
+        """Whether it has used the processor since it was looked at last."""
+        now_s, used_s = time.monotonic(), self._child.used_s
+        works = used_s - self.used_s >= _LEAST_SHARE * (now_s - self._looked_s)
+        self.used_s, self._looked_s = used_s, now_s
+        if works:
+            self.worked_s = now_s
+        return works
 
 
 @dataclass(frozen=True)
@@ -50,6 +78,8 @@ LauncherEvent = Ready | Exited | Interrupted
 
 class Launcher:
     """Processes of a cell, one a service; a context manager that ends them all.
+
+    `unrested` says why the robots could not be brought to rest before that; it is empty if they could.
 
         with Launcher(cell_services(cell, "lab"), on_line=print) as launcher:
             launcher.start()
@@ -82,6 +112,7 @@ class Launcher:
             signals_raise: signals are no events, but raise KeyboardInterrupt.
         """
         self.services = tuple(services)
+        self.unrested = ""
         self.children: dict[str, Child] = {}
         self.ready: set[str] = set()
         self._on_line = on_line
@@ -119,22 +150,28 @@ class Launcher:
             for number, handler in self._handlers.items():
                 signal.signal(number, handler)
 
-    def start(self, timeout_s: float = START_TIMEOUT_S) -> None:
+    def start(self, idle_s: float = IDLE_S) -> None:
         """Start every service as soon as those it needs serve, and wait until all serve.
 
+        A service that works on its start is named and waited for. The cell needs no console: one that is late becomes
+        a `Ready` event, and one that ends is told.
+
+        Args:
+            idle_s: how long a service may do nothing before it serves.
+
         Raises:
-            LaunchError: if a port is taken, or a service ends or stays silent instead of serving.
+            LaunchError: if a port is taken, or a service ends or does nothing instead of serving.
             GuardedKeyError: if the guarded realm's key can be kept from nobody.
             LaunchInterruptedError: if a signal came first.
         """
-        self._start(self.services, timeout_s)
+        self._start(self.services, idle_s)
 
-    def restart(self, name: str, timeout_s: float = START_TIMEOUT_S) -> None:
+    def restart(self, name: str, idle_s: float = IDLE_S) -> None:
         """Start a service again that has ended; raises as `start` does."""
         self.stop_service(name)
         again = [service for service in self.services if service.name == name]
         self._wait_for_ports(again)
-        self._start(again, timeout_s)
+        self._start(again, idle_s)
 
     def wait(self, timeout_s: float | None = None) -> LauncherEvent | None:
         """The next event, or None if there is none within `timeout_s`."""
@@ -170,8 +207,9 @@ class Launcher:
         if self._bring_to_rest and any(self._role_moves(name) for name in running):
             try:
                 self._bring_to_rest()
-            except DeltaqError as error:
+            except (DeltaqError, OSError, RuntimeError, MemoryError) as error:
                 # the services' own watchdogs do it then
+                self.unrested = str(error)
                 self.say(f"the robots could not be asked to rest: {error}")
         for name in reversed(self.children):
             self.stop_service(name)
@@ -206,50 +244,92 @@ class Launcher:
             raise KeyboardInterrupt
         self._events.put(Interrupted(signal.Signals(number)))
 
-    def _start(self, services: Sequence[Service], timeout_s: float) -> None:
+    def _start(self, services: Sequence[Service], idle_s: float) -> None:
         check_ports(services)
         if self._warden is None:
             self._warden = Warden()
         here = {service.name for service in self.services}
         waiting = list(services)
-        starting = {service.name for service in services}
-        pending: set[str] = set()
-        deadline = time.monotonic() + timeout_s
+        optional = {service.name for service in services if service.role in OPTIONAL_ROLES}
+        pending: dict[str, _Starting] = {}
+        look_s = time.monotonic() + min(TOLD_EVERY_S, idle_s)
         while waiting or pending:
             for service in [s for s in waiting if here.intersection(s.needs) <= self.ready]:
                 waiting.remove(service)
-                pending.add(service.name)
-                command = [*self._python, *service.arguments]
-                # an emulated robot is braked by its Robot Server, and ends after it
-                emulated = [s.name for s in services if s.role is Role.EMULATOR and service.name in s.needs]
-                child = Child(
-                    service.name,
-                    command,
-                    self._events.put,
-                    self._on_line,
-                    environment=self._secrets_of(service),
-                    is_ordinary=service.role is Role.CONSOLE,
-                    lifeline=self._lifelines.pop(service.name, None),
-                    outlived_by=[self._lifelines.setdefault(name, Lifeline()) for name in emulated],
-                )
-                held = (child.output, child.lifeline.writer)
-                self._warden.keep(child.pid, *held, brakes=service.role in BRAKING_ROLES)
-                self.children[service.name] = child
-            match self.wait(max(0.0, deadline - time.monotonic())):
+                pending[service.name] = _Starting(self._begin(service))
+            match self.wait(max(0.0, look_s - time.monotonic())):
                 case Ready(name):
-                    pending.discard(name)
-                case Exited(name, status) if name in starting and self.children[name].status is not None:
+                    pending.pop(name, None)
+                case Exited(name, status) if self._ended_early(name, services):
                     when = "before it served" if name in pending else "while others were starting"
-                    raise LaunchError(f"{describe_exit(name, status)} {when}{self._quote(name)}")
+                    text = f"{describe_exit(name, status)} {when}{self._quote(name)}"
+                    if name not in optional:
+                        raise LaunchError(text)
+                    pending.pop(name, None)
+                    del self.children[name]
+                    self.say(f"{text}; the cell runs without it")
                 case Interrupted(number):
                     raise LaunchInterruptedError(f"stopped by {number.name} while services were starting")
                 case Exited():
                     pass  # the process that one of these replaces, or another service
                 case None:
-                    raise LaunchError(
-                        f"{', '.join(sorted(pending))} did not serve within {timeout_s:g} s"
-                        + "".join(self._quote(name) for name in sorted(pending))
-                    )
+                    look_s = time.monotonic() + min(TOLD_EVERY_S, idle_s)
+                    for name in sorted(pending):
+                        self._look_at(name, pending[name], idle_s)
+                    if not waiting and pending.keys() <= optional:
+                        self.say(f"the cell runs without {', '.join(sorted(pending))} until it serves")
+                        return
+
+    def _begin(self, service: Service) -> Child:
+        """Start a service's process.
+
+        Raises:
+            LaunchError: the system gives no process, thread or descriptor for it.
+        """
+        assert self._warden is not None  # it comes first
+        # an emulated robot is braked by its Robot Server, and ends after it
+        emulated = [s.name for s in self.services if s.role is Role.EMULATOR and service.name in s.needs]
+        try:
+            child = Child(
+                service.name,
+                [*self._python, *service.arguments],
+                self._events.put,
+                self._on_line,
+                environment=self._secrets_of(service),
+                is_ordinary=service.role is Role.CONSOLE,
+                lifeline=self._lifelines.pop(service.name, None),
+                outlived_by=[self._lifelines.setdefault(name, Lifeline()) for name in emulated],
+            )
+        except (OSError, RuntimeError, MemoryError) as error:
+            raise LaunchError(
+                f"{service.name} could not be started: {error}; the limits of this user are too low (`ulimit -a`)"
+            ) from error
+        self._warden.keep(
+            child.pid, child.output, child.lifeline.writer, brakes=service.role in BRAKING_ROLES
+        )
+        self.children[service.name] = child
+        return child
+
+    def _ended_early(self, name: str, services: Sequence[Service]) -> bool:
+        """Whether one of these has ended, and not a process that it replaces."""
+        return name in {service.name for service in services} and self.children[name].status is not None
+
+    def _look_at(self, name: str, starting: _Starting, idle_s: float) -> None:
+        """Say that a service is waited for while it works.
+
+        Raises:
+            LaunchError: it does nothing.
+        """
+        if not starting.works():
+            idle_for_s = time.monotonic() - starting.worked_s
+            if idle_for_s >= idle_s:
+                raise LaunchError(
+                    f"{name} did not serve, and did nothing for {idle_for_s:.2g} s{self._quote(name)}"
+                )
+        self.say(
+            f"{name} does not serve yet, {time.monotonic() - starting.begun_s:.0f} s after its start; it has used "
+            f"{starting.used_s:.1f} s of processor time, and is waited for"
+        )
 
     def _wait_for_ports(self, services: Sequence[Service]) -> None:
         """Wait while a robot whose Robot Server has died is still braked, which keeps its port."""

@@ -39,6 +39,9 @@ def run_program(main: Callable[[], int | None], name: str) -> NoReturn:
         # the reader of the output (`| head`) has gone; the interpreter would flush once more as it ends
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(DONE)
+    except (OSError, MemoryError) as error:  # a full disk, too few descriptors, no memory
+        print(f"{name}: {error or 'no memory is left'}", file=sys.stderr)
+        sys.exit(BAD)
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
 

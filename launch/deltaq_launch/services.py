@@ -35,6 +35,10 @@ BRAKING_ROLES = (Role.ROBOT_SERVER, Role.EMULATOR)
 """What a robot needs to come to rest once the gate is silent."""
 
 
+OPTIONAL_ROLES = (Role.CONSOLE, Role.METRICS)
+"""What a cell runs without."""
+
+
 GUARDED_ROLES = (Role.ROBOT_SERVER, Role.SIM, Role.HLI)
 """What speaks in the guarded realm, and needs its key."""
 

@@ -1,8 +1,10 @@
 from __future__ import annotations
 
+import errno
 import json
 import os
 import queue
+import re
 import select
 import signal
 import socket
@@ -18,7 +20,7 @@ import pytest
 from deltaq_cell.check_description import LEAST_GIVEN_PORT
 from deltaq_cell.load import load_cell
 from deltaq_command.console import json_log
-from deltaq_launch.child_process import NICENESS, Exited
+from deltaq_launch.child_process import NICENESS, Exited, Ready
 from deltaq_launch.errors import LaunchError, LaunchInterruptedError
 from deltaq_launch.launcher import Interrupted, Launcher
 from deltaq_launch.services import ListeningSocket, Role, Service, cell_services
@@ -108,9 +110,63 @@ def test_a_service_that_dies_early_is_reported_with_its_own_last_words() -> None
 def test_a_service_that_never_serves_is_reported_and_ended() -> None:
     with (
         Launcher([service("sim", SILENT)], nothing) as launcher,
-        pytest.raises(LaunchError, match=r"sim did not serve within 0.3 s; sim printed nothing"),
+        pytest.raises(
+            LaunchError, match=r"sim did not serve, and did nothing for [\d.]+ s; sim printed nothing"
+        ),
     ):
-        launcher.start(timeout_s=0.3)
+        launcher.start(idle_s=0.3)
+    assert launcher.children["sim"].status == -signal.SIGTERM
+
+
+def test_a_service_that_works_is_named_and_waited_for_longer_than_one_that_does_nothing() -> None:
+    works = "import time\nwhile time.process_time() < 1.0: pass\n" + SERVES
+    said: list[str] = []
+    with Launcher([service("sim", works)], lambda _, line: said.append(line)) as launcher:
+        launcher.start(idle_s=0.2)
+        assert launcher.ready == {"sim"}
+    assert [
+        line
+        for line in said
+        if re.match(r"sim does not serve yet, .* s of processor time, and is waited for", line)
+    ]
+
+
+def test_a_cell_runs_without_its_console_which_joins_when_it_serves() -> None:
+    late = "signal.sigwait([signal.SIGUSR1])\n" + SERVES
+    late = "import signal; signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGUSR1])\n" + late
+    said: list[str] = []
+    console = replace(service("console", late), role=Role.CONSOLE)
+    with Launcher([service("sim", SERVES), console], lambda _, line: said.append(line)) as launcher:
+        launcher.start(idle_s=0.5)
+        assert launcher.ready == {"sim"}
+        assert "the cell runs without console until it serves" in said
+        os.kill(launcher.children["console"].pid, signal.SIGUSR1)
+        event = launcher.wait(300)
+        assert isinstance(event, Ready)
+        assert launcher.ready == {"sim", "console"}
+
+
+def test_a_console_that_ends_is_told_and_the_cell_starts_without_it() -> None:
+    said: list[str] = []
+    console = replace(service("console", DIES), role=Role.CONSOLE)
+    with Launcher([console, service("sim", SERVES)], lambda _, line: said.append(line)) as launcher:
+        launcher.start()
+        assert launcher.ready == {"sim"}
+    assert [line for line in said if line.startswith("console ended with exit status 3")]
+
+
+def test_a_service_that_the_system_cannot_start_is_a_line_and_the_others_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def no_more(*_: object, **__: object) -> None:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    with Launcher([service("sim", SERVES), service("hli", SERVES, needs=("sim",))], nothing) as launcher:
+        launcher.services, rest = launcher.services[:1], launcher.services[1:]
+        launcher.start()
+        monkeypatch.setattr("deltaq_launch.launcher.Child", no_more)
+        with pytest.raises(LaunchError, match=r"hli could not be started: .*Too many open files"):
+            launcher._start(rest, 1.0)
     assert launcher.children["sim"].status == -signal.SIGTERM
 
 
