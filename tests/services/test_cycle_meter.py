@@ -90,17 +90,23 @@ def test_the_cycle_is_known_after_one_window_at_its_pace_and_no_sooner():
 
 def test_a_krc_that_ticks_faster_all_at_once_is_a_fault_before_it_gains_half_a_second():
     meter = metered(0.012, 1, every(0.012, 10.0))
-    time_s, gained_s = 15.0, 0.0
+    time_s, gained_s = 15.0 + 0.012, 0.0
+    meter.tick(1, time_s)
     while not meter.fault:
         time_s += 0.004
         gained_s += 0.008
         meter.tick(1, time_s)
         assert gained_s < 0.5
     assert not meter.known
+    assert "ticks every 4." in meter.fault  # not the mean with what was before
+    for _ in range(1000):
+        time_s += 0.004
+        meter.tick(1, time_s)
+    begin_s = time_s
     while meter.fault:  # at its pace again, it is one no longer
         time_s += 0.012
         meter.tick(1, time_s)
-        assert time_s < 15.0 + 1.0 + 0.5 / DRIFT
+        assert time_s < begin_s + 0.5 / DRIFT
     assert meter.known
 
 
@@ -129,6 +135,16 @@ def test_slow_by_ipoc_and_clock_for_a_moment_is_no_fault():
     slow = every(0.012, 0.012 * WINDOW_TICKS * (SLOW_WINDOWS - 1) + 0.1)
     assert metered(0.004, 12, slow).fault == ""
     assert not metered(0.004, 12, slow).known
+
+
+def test_slow_moments_with_others_between_them_are_no_fault():
+    meter, time_s = CycleMeter(0.004, SILENCE_S, None), 5.0
+    meter.begin(12, time_s)
+    for window in range(4 * SLOW_WINDOWS):
+        for _ in range(WINDOW_TICKS):
+            time_s += 0.004 if window % 4 == 3 else 0.012
+            meter.tick(1, time_s)
+        assert meter.fault == ""
 
 
 def test_a_meter_goes_on_from_the_memory_of_another():

@@ -40,11 +40,11 @@ def make_config(
         "<ONLYSEND>FALSE</ONLYSEND></CONFIG><SEND><ELEMENTS>"
         + "".join(element(f"DEF_{name}") for name in ("RIst", "AIPos", "ASPos", "EIPos", "ESPos"))
         + element("DEF_Delay", "LONG")
-        + element("Di.I1", "BOOL", 1)
+        + element("Di.01", "BOOL", 1)
         + "</ELEMENTS></SEND><RECEIVE><ELEMENTS>"
         + element("DEF_EStr", "STRING", hold_on=0)
         + "".join(element(tag, index=i, hold_on=hold_on) for i, tag in enumerate(tags, start=1))
-        + element("Do.O1", "BOOL", 20, hold_on)
+        + element("Do.01", "BOOL", 20, hold_on)
         + element("Stop", "BOOL", 21, hold_on)
         + "</ELEMENTS></RECEIVE></ROOT>"
     )
@@ -64,8 +64,8 @@ def make_robot(joints: tuple[str, ...], servo_lag: ServoLag = NO_LAG, **driver: 
             kind="rsi",
             port=49152,
             ethernet_xml="none.xml",
-            inputs={"closed": "Di.I1"},
-            outputs={"gripper": "Do.O1"},
+            inputs={"closed": "Di.01"},
+            outputs={"gripper": "Do.01"},
             **({"stop": "Stop"} | driver),
         ),
         joints={joint: revolute if joint[0] == "a" else prismatic for joint in joints},
