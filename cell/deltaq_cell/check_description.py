@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from deltaq_cell.description import CellDescription, RobotDescription, RsiDescription
-from deltaq_cell.drive_lag import REMAINDER, least_servo_lag_s, modelled_lag
+from deltaq_cell.drive_lag import REMAINDER, emulated_lag, least_servo_lag_s
 from deltaq_cell.find import resolve_near
 from deltaq_cell.krc_files import judge_krc_files
 from deltaq_cell.models import nearest_name
@@ -150,7 +150,7 @@ class DescriptionCheck:
         if not isinstance(robot.driver, RsiDescription):
             return
         cycle_s, presumed_s = self._cell.cycle_s, self._cell.gate.servo_lag_s
-        lag_s = modelled_lag(robot.servo_lag, cycle_s).settled_s
+        lag_s = emulated_lag(robot.servo_lag, cycle_s).settled_s
         if lag_s > presumed_s:
             least_s = least_servo_lag_s(lag_s, cycle_s)
             message = (

@@ -92,13 +92,18 @@ def _falls_to(share: float, errors: Array, first_s: float, cycle_s: float) -> fl
     return first_s + cycle_s * (last + part)
 
 
-def modelled_lag(lag: ServoLag, cycle_s: float) -> AxisLag:
-    """The lag of emulated drives, to which a setpoint travels for one cycle."""
+def emulated_lag(lag: ServoLag, cycle_s: float) -> AxisLag:
+    """The lag of an emulated robot: its KRC takes a reply at a cycle's end, its drives go there in the next."""
+    return modelled_lag(lag, 2.0 * cycle_s)
+
+
+def modelled_lag(lag: ServoLag, travel_s: float) -> AxisLag:
+    """The lag of drives that a setpoint reaches after `travel_s`."""
     step_s = 0.0005
     times = step_s * np.arange(1, round(4.0 * LONGEST_S / step_s))
     error = [transition(time_s, lag.natural_frequency_rad_s, lag.damping)[0, 0] for time_s in times]
     # samples are means over the steps between them, as in a measured response
-    return axis_lag(1.0 - np.array(error), cycle_s + lag.dead_time_s + step_s, step_s)
+    return axis_lag(1.0 - np.array(error), travel_s + lag.dead_time_s + step_s, step_s)
 
 
 def transition(duration_s: float, frequency_rad_s: float, damping: float) -> Array:

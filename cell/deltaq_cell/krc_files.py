@@ -77,7 +77,7 @@ def _beside(path: Path, config: EthernetConfig, station: Station) -> list[Findin
                 "warning",
                 "Precision",
                 "how many decimals the KRC sends is not known here, and one is what it sends unless told otherwise; "
-                "put the context that loads this file beside it, or see it with `deltaq rsi sniff`",
+                "put the context that loads this file beside it, or see it with `deltaq krc sniff`",
                 bound=4,
                 source=path.name,
             )

@@ -26,7 +26,6 @@ from deltaq_command import (
     operate,
     recordings,
     ros2,
-    rsi,
     soak,
     streams,
     study,
@@ -91,8 +90,7 @@ app.command(rich_help_panel=COMMAND)(operate.lease)
 app.command(rich_help_panel=COMMAND)(operate.io)
 app.command(rich_help_panel=COMMAND)(operate.contact)
 app.command("dry-run", rich_help_panel=COMMAND)(operate.dry_run)
-app.command(rich_help_panel=REAL)(krc.krc)
-app.add_typer(rsi.rsi, name="rsi", rich_help_panel=REAL)
+app.add_typer(krc.krc, name="krc", rich_help_panel=REAL)
 app.command(rich_help_panel=STUDY)(study.experiment)
 app.add_typer(fault.fault, name="fault", rich_help_panel=STUDY)
 app.command(rich_help_panel=STUDY)(soak.soak)

@@ -1,4 +1,4 @@
-"""`deltaq krc`."""
+"""`deltaq krc`: files for a real KRC, its telegrams, and the lag of its drives."""
 
 from __future__ import annotations
 
@@ -7,13 +7,27 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from deltaq_command.krc_lag import LAG_EXAMPLES, lag
 from deltaq_command.options import JsonOption, RobotOption
+from deltaq_command.rsi import echo, sniff
 
 if TYPE_CHECKING:
     from deltaq_deploy.krc import KrcFile, KrcPlan, Start
 
 
-def krc(
+krc = typer.Typer(
+    help="Bring up a real KRC: its files, its telegrams, the lag of its drives.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+)
+krc.command()(sniff)
+krc.command()(echo)
+krc.command(epilog=LAG_EXAMPLES)(lag)
+
+
+@krc.command("files")
+def write_krc_files(
     cell: Annotated[str, typer.Argument(help="Name of a shipped cell or path of a YAML file.")],
     robot: RobotOption,
     to: Annotated[Path, typer.Option(metavar="FOLDER", help="Write the files into this folder.")],

@@ -1,4 +1,4 @@
-"""`deltaq rsi`."""
+"""`deltaq krc sniff` and `deltaq krc echo`: test the connection to a KRC before a Robot Server uses it."""
 
 from __future__ import annotations
 
@@ -23,15 +23,7 @@ PortOption = Annotated[
 ]
 DurationOption = Annotated[float, typer.Option(min=0.0, help="Duration; 0: until Ctrl-C.")]
 
-rsi = typer.Typer(
-    help="Test the connection to a KRC before a Robot Server uses it.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="rich",
-)
 
-
-@rsi.command()
 def sniff(
     address: AddressOption = None,
     port: PortOption = None,
@@ -57,7 +49,6 @@ def sniff(
     _report(statistics.summary(), address, port, json, {})
 
 
-@rsi.command()
 def echo(
     cell: Annotated[str, typer.Option(help="The cell; its file gives the format of the answer.")],
     robot: RobotOption,

@@ -36,11 +36,11 @@ def test_emulated_drives_that_lag_more_than_the_gate_presumes_are_an_error_for_e
 ) -> None:
     path, lines = checked(tmp_path, ("servo_lag_s: 0.072", "servo_lag_s: 0.048"))
     for robot, problem in zip(("fr", "gr"), check_cell(path).errors, strict=True):
-        assert (problem.field, problem.value, problem.bound) == ("gate.servo_lag_s", 0.048, 0.072)
+        assert (problem.field, problem.value, problem.bound) == ("gate.servo_lag_s", 0.048, 0.084)
         assert "servo_lag_s" in lines[problem.line - 1]
         assert problem.message == (
             f"0.048 s is less than the emulated drives of {robot} take for 95% of a step (robots.{robot}.servo_lag: "
-            "0.052 s); set at least 0.072, or quicker drives"
+            "0.064 s); set at least 0.084, or quicker drives"
         )
 
 

@@ -1,4 +1,4 @@
-"""`deltaq rsi` and the emulated controller as processes, over UDP on ports of their own."""
+"""`deltaq krc` and the emulated controller as processes, over UDP on ports of their own."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PATIENCE_S = 60.0
 
 def rsi(*arguments: str) -> tuple[int, dict[str, Any]]:
     done = subprocess.run(
-        [PROGRAM, "rsi", *arguments, "--json"],
+        [PROGRAM, "krc", *arguments, "--json"],
         capture_output=True,
         text=True,
         timeout=PATIENCE_S,
@@ -85,7 +85,7 @@ def test_silence_is_exit_status_3_with_what_to_look_at() -> None:
 
 
 def test_an_address_that_is_not_ours_is_told() -> None:
-    result = CliRunner().invoke(app, ["rsi", "sniff", "--address", "203.0.113.1", "--port", "40000"])
+    result = CliRunner().invoke(app, ["krc", "sniff", "--address", "203.0.113.1", "--port", "40000"])
     assert isinstance(result.exception, ServiceUnreachableError)
     assert "cannot listen on UDP 203.0.113.1:40000" in str(result.exception)
 
@@ -94,4 +94,4 @@ def test_an_address_that_is_not_ours_is_told() -> None:
     "arguments", [["sniff"], ["sniff", "--cell", "lab"], ["echo", "--cell", "lab"], ["echo"]], ids=" ".join
 )
 def test_what_is_missing_is_wrong_usage(arguments: list[str]) -> None:
-    assert CliRunner().invoke(app, ["rsi", *arguments]).exit_code == 2
+    assert CliRunner().invoke(app, ["krc", *arguments]).exit_code == 2

@@ -1,4 +1,4 @@
-"""What `deltaq rsi` says of a KRC, from times and datagrams alone, and what it answers."""
+"""What `deltaq krc` says of a KRC, from times and datagrams alone, and what it answers."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ def notes_on(plan: KrcPlan) -> tuple[str, ...]:
             "--digital NAME=NUMBER"
         )
     if plan.krc == "krc2":
-        notes.append("the number of decimals is left as the KR C2 has it: see it with `deltaq rsi sniff`")
+        notes.append("the number of decimals is left as the KR C2 has it: see it with `deltaq krc sniff`")
     return tuple(notes)
 
 

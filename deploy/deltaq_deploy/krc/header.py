@@ -28,7 +28,7 @@ def header(plan: KrcPlan, what: str) -> list[str]:
         Start.HERE: "RSI starts where the robot stands; the software limit switches bound the motion.",
     }[plan.start]
     return [
-        f"{what} for the robot {plan.robot} of the cell {plan.cell}, written by `deltaq krc`.",
+        f"{what} for the robot {plan.robot} of the cell {plan.cell}, written by `deltaq krc files`.",
         f"For {written_for(plan)}, {plan.cycle_ms} ms. The telegrams are checked against",
         "the emulator; nothing here has been tried on a real controller of that version: read it, and start in T1.",
         start,

@@ -32,14 +32,14 @@ PENDANT = (
         Code.CORRECTION_MONITOR,
         "KSS29000",
         "an axis was corrected by more than AXISCORRMON allows; without that object by more than 6 deg or 6 mm",
-        "load the context that `deltaq krc` writes: its monitors lie above its correction limits",
+        "load the context that `deltaq krc files` writes: its monitors lie above its correction limits",
     ),
     PendantMessage(
         Code.LATE_PACKETS,
         "KSS29002, ETHERNET returns an error",
         "more replies were late, or missing, than Timeout permits: the PC does not listen, is too slow, or a firewall "
         "stands between",
-        "start the Robot Server first; `deltaq rsi sniff`, then `deltaq rsi echo` and `deltaq doctor`",
+        "start the Robot Server first; `deltaq krc sniff`, then `deltaq krc echo` and `deltaq doctor`",
     ),
     PendantMessage(
         Code.SOFTWARE_LIMIT,

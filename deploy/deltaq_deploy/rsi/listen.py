@@ -1,4 +1,4 @@
-"""The socket and the clock under `deltaq rsi`: one blocking loop that owns both and decides nothing."""
+"""The socket and the clock under `deltaq krc`: one blocking loop that owns both and decides nothing."""
 
 from __future__ import annotations
 
