@@ -274,7 +274,7 @@ def test_an_urdf_is_read_in_the_encoding_that_it_declares(tmp_path: Path, encodi
 
 def test_a_robot_of_one_joint_is_guarded(tmp_path: Path) -> None:
     file = cell(tmp_path, arm(2), ("j1",))
-    assert check_cell(file).problems == ()
+    assert check_cell(file).errors == ()
     virtual = VirtualCell(file)
     virtual.run_until_ready()
     virtual.acquire("r", "test")
@@ -311,7 +311,7 @@ def test_a_file_uri_may_have_escapes(tmp_path: Path) -> None:
     uri = (tmp_path / "two words" / "m.dae").as_uri()
     assert "%20" in uri
     file = cell(tmp_path, arm(shape=f'<mesh filename="{uri}"/>'), ("j1", "j2", "j3", "j4"))
-    assert check_cell(file).problems == ()
+    assert check_cell(file).errors == ()
 
 
 PUBLIC = sorted(
