@@ -56,6 +56,11 @@ COUNTERS: tuple[Counted, ...] = (
     ),
     Counted(HLI, "verdicts_{outcome}", "verdicts of the gate with this outcome"),
     Counted(HLI, "verdicts_ignored", "verdicts on a robot that the cell does not have"),
+    Counted(
+        HLI,
+        "internal_errors",
+        "messages that were refused after an error that nobody foresaw; one that concerns motion holds its robot",
+    ),
     Counted(HLI, "malformed", "malformed messages of clients; each got an error if its sender is known"),
     Counted(HLI, "malformed_guarded", "malformed messages from the guarded realm"),
     Counted(

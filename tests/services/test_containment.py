@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import logging
+import socket
+from dataclasses import replace
+from itertools import islice
+from random import Random
 
 import numpy as np
 import pytest
@@ -10,8 +15,12 @@ from gate_rig import CELL, SMALL, Rig
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from injected import error_in_call
+from served import Server
+from test_hli_core import Bench
+from test_hli_snapshot import Day
 
-from deltaq_protocol.messages import Outcome, Phase
+from deltaq_protocol.guarded import Command
+from deltaq_protocol.messages import Increment, Outcome, Phase
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.sim.core import Sim
@@ -19,6 +28,7 @@ from deltaq_services.sim.core import Sim
 GATE = ("deltaq_services.sim", "deltaq_cell", "deltaq_protocol.setpoint_motion", "deltaq_protocol.receipts")
 
 SERVER = ("deltaq_services.robot_server", "deltaq_services.phases", "deltaq_protocol.setpoint_motion")
+HLI = ("deltaq_services.hli", "deltaq_services.rate_limit", "deltaq_services.pace")
 FIRST = 3
 """The first call that a message causes: those before it are `take` itself, and what it is to be put back to."""
 
@@ -212,3 +222,57 @@ def test_an_admission_that_fails_is_as_one_that_was_lost(rig, monkeypatch):
     rig.cycle()
     assert (rig.state.phase, rig.state.reason) == (Phase.HELD, ReasonCode.INTERNAL_ERROR)
     assert not np.any(rig.state.dq)
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 3), share=st.floats(0, 1))
+def test_wherever_the_hli_fails_it_is_what_it_was_before_the_message(seed, share):
+    day = Day(seed)
+    core, random = day.core, Random(share)
+
+    def failing():
+        with error_in_call(random.randrange(1, 40), *HLI):
+            return core.take(day.message(), day.now_s, day.clients[0])
+
+    for _ in range(60):
+        before = replace(core.snapshot(), heard_s=())
+        outputs = core.contained(failing, day.now_s)
+        if core.containment.failed:
+            assert (replace(core.snapshot(), heard_s=()), outputs) == (before, [])
+        day.now_s += 0.004
+    assert core.counters["internal_errors"] > 5
+
+
+def test_an_increment_that_the_hli_fails_on_is_told_and_its_robot_is_held(monkeypatch):
+    bench = Bench().ready()
+    monkeypatch.setattr(bench.core.increments, "on_increment", lambda *_: 1 / 0)
+    increment = Increment(robot="fr", seq=1, cycle=100, dq=(0.0,) * 6, lease=bench.token)
+    for number in range(3):
+        outputs = bench.core.contained(
+            lambda: bench.core.take(increment, bench.now, bench.client),
+            bench.now,
+            ("fr",),
+            bench.client,
+            {"type": "increment", "robot": "fr", "seq": 1},
+        )
+        error = outputs[-1].message
+        assert (error.code, error.request, error.seq) == (ReasonCode.INTERNAL_ERROR, "increment", 1)
+        stops = [output.message for output in outputs if isinstance(output.message, Command)]
+        assert len(stops) == (number == 0)  # it stands until the gate has answered
+    bench.state(101, robot="gr")
+
+
+def test_a_line_that_the_hli_fails_on_is_answered_and_the_connection_goes_on(monkeypatch, caplog):
+    with Server() as server:
+        monkeypatch.setattr(server.hli.core.requests, "on_io", lambda *_: 1 / 0)
+        with socket.create_connection(("127.0.0.1", server.description.tcp_port), timeout=60) as sock:
+            ask = b'{"type":"io","robot":"fr","outputs":{}}\n'
+            sock.sendall(
+                b'{"type":"hello","protocol":1,"client":"test"}\n' + ask + ask + b'{"type":"describe"}\n'
+            )
+            with sock.makefile() as lines:
+                answers = [data for data in map(json.loads, islice(lines, 200)) if data["type"] != "state"]
+                kinds = [data.get("code", data["type"]) for data in answers[:4]]
+    assert kinds == ["welcome", "internal_error", "internal_error", "description"]
+    assert server.hli.core.counters["internal_errors"] == 2
+    assert caplog.text.count("ZeroDivisionError") == 1

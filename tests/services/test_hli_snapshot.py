@@ -146,7 +146,7 @@ def test_a_snapshot_leaves_out_nothing_but_what_is_fixed_and_what_is_counted():
     memory = core.snapshot()
     assert set(vars(core)) == {
         "_state", "_gate", "_gate_heard_s", "_states", "_services", "_proximity",
-    } | {"_tool_pose", "description", "counters", "increments", "requests", "tell"}  # fmt: skip
+    } | {"_tool_pose", "description", "counters", "increments", "requests", "tell", "containment"}  # fmt: skip
     state = core._state
     assert set(vars(state)) == {"leases", "commands", "command_rate", "links", "mismatches"} | {
         "cell",

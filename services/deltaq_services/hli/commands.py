@@ -129,6 +129,12 @@ class Commands:
         if command.kind == "stop":
             self._stops[command.robot] = _Stop(command, time_s + STOP_PERIOD_S)
 
+    def awaits_stop(self, robot: str) -> bool:
+        """Whether a stop of this robot has not been answered yet."""
+        return any(
+            one.command.kind == "stop" and one.command.robot == robot for one in self._awaited.values()
+        )
+
     def join_stop(self, sender: Sender) -> Command | None:
         """Let one more await the stop of all robots that is under way; returns it, if there is one and not too many do.
 

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
@@ -40,7 +41,8 @@ from deltaq_protocol.messages import (
     ViewRequest,
     Welcome,
 )
-from deltaq_protocol.reasons import ReasonCode
+from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
+from deltaq_services.containment import Containment
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.commands import CommandsMemory
 from deltaq_services.hli.deeds import Deed, Tell, told_to_nobody
@@ -48,7 +50,7 @@ from deltaq_services.hli.increments import Increments
 from deltaq_services.hli.leases import Leases, LeasesMemory
 from deltaq_services.hli.requests import Requests
 from deltaq_services.hli.robot_link import LinkMemory, RobotLink
-from deltaq_services.hli.state import HliState
+from deltaq_services.hli.state import HliState, answered_by_error
 from deltaq_services.lagging import Heard
 from deltaq_services.outputs import Output, Sender, ToSender, ToTopic
 from deltaq_services.pace import Pace
@@ -96,6 +98,7 @@ class HliCore:
         requests: answers leases, stop, reset and digital outputs.
         counters: everything that has been counted.
         tell: as given.
+        containment: of errors that nobody foresaw.
     """
 
     def __init__(
@@ -123,6 +126,53 @@ class HliCore:
         self.counters = self._state.counters
         self.increments = Increments(self._state)
         self.requests = Requests(self._state, roles or ClientRoles())
+        self.containment = Containment(self._parts)
+
+    def contained(
+        self,
+        decide: Callable[[], list[Output]],
+        time_s: float,
+        robots: Iterable[str] = (),
+        sender: Sender | None = None,
+        asked: Mapping[str, object] = MappingProxyType({}),
+    ) -> list[Output]:
+        """What is decided. An error that nobody foresaw makes no difference but this: it is told, and robots are held.
+
+        Args:
+            decide: decides on one message.
+            time_s: when it came.
+            robots: whose motion the message concerns; to be held if it fails.
+            sender: the client to be told that its message was refused.
+            asked: the message as it came, as far as it could be read.
+        """
+        self.containment.remember()
+        try:
+            return decide()
+        except Exception as error:
+            self.containment.put_back()
+            self.failed(error)
+        outputs: list[Output] = []
+        for robot in robots:
+            outputs += self._state.hold(robot, time_s)
+        if sender is not None:
+            code = ReasonCode.INTERNAL_ERROR
+            told = Error(
+                code=code, message=EXPLANATIONS[code], hint="see the HLI's log", **answered_by_error(asked)
+            )
+            outputs.append(ToSender(sender, told))
+        return outputs
+
+    def failed(self, error: Exception) -> None:
+        """Note an error that nobody foresaw."""
+        self.containment.note(error)
+        self.counters["internal_errors"] += 1
+
+    def _parts(self) -> Iterator[object]:
+        """The objects that change."""
+        state = self._state
+        yield from (self, state, state.commands, state.command_rate, self._proximity, *state.leases.parts)
+        for link in state.links.values():
+            yield from link.parts
 
     def take(
         self, message: Message | InvalidMessageError, time_s: float, sender: Sender | None = None

@@ -35,7 +35,7 @@ class GuardedFront:
     """
 
     def __init__(self, cell: CellDescription, port: Port) -> None:
-        self._cell = cell.cell
+        self._cell, self._robots = cell.cell, tuple(cell.robots)
         self._port = port
         endpoints = [robot.server for robot in cell.robots.values()] + [cell.sim]
         self._seal = guarded_seal(cell, HLI)
@@ -75,7 +75,9 @@ class GuardedFront:
             self._port.core.counters["malformed_guarded"] += 1
             _log.warning("%s: %s", sample.key_expr, error)
             return
-        self._port.carry_out(self._port.core.take(message, self._port.now()))
+        robot = getattr(message, "robot", "")  # of a state or a verdict
+        robots = (robot,) if robot in self._robots else ()
+        self._port.serve(lambda: self._port.core.take(message, self._port.now()), robots)
 
     def _meet(self, sample: zenoh.Sample) -> None:
         try:

@@ -14,7 +14,7 @@ from deltaq_services.outputs import NOBODY, ClientOrigin, Sender
 # Sequence numbers that were seen: none is taken twice, and those of a long way may overtake one another.
 
 
-@dataclass(slots=True)
+@dataclass
 class Sequence:
     """Which of the newest sequence numbers of a lease were seen; the sliding window of RFC 4303, 3.4.3.
 
@@ -113,6 +113,14 @@ class Leases:
         """Go on from where others were."""
         self._epoch, self._leases = memory.epoch, dict(_copied(memory.leases))
         self._ended = dict(memory.ended)
+
+    @property
+    def parts(self) -> Iterator[object]:
+        """The objects that change."""
+        yield self
+        for lease in self._leases.values():
+            if lease is not None:
+                yield from (lease, lease.sequence)
 
     def of(self, robot: str) -> Lease | None:
         """The lease of a robot, with any holder."""

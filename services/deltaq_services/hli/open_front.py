@@ -240,6 +240,9 @@ class OpenFront:
         self._session.close()
 
     def _on_increment(self, sifted: Sifted) -> None:
+        self._port.serve(lambda: self._judged(sifted), (sifted.robot,))
+
+    def _judged(self, sifted: Sifted) -> list[Output]:
         port = self._port
         try:
             increment = unpack(Increment, sifted.payload)
@@ -248,14 +251,10 @@ class OpenFront:
             increment = increment.model_copy(update={"lease": sifted.token})
         except InvalidMessageError as error:
             error.data["lease"] = sifted.token
-            outputs = port.core.increments.on_bad_increment(error, None, port.now())
-        else:
-            if self._stamps is not None:
-                self._stamps.add(
-                    StampStation.INCREMENT_AT_HLI, increment.robot, increment.cycle, increment.seq
-                )
-            outputs = port.core.increments.on_increment(increment, None, port.now())
-        port.carry_out(outputs)
+            return port.core.increments.on_bad_increment(error, None, port.now())
+        if self._stamps is not None:
+            self._stamps.add(StampStation.INCREMENT_AT_HLI, increment.robot, increment.cycle, increment.seq)
+        return port.core.increments.on_increment(increment, None, port.now())
 
     def _on_lease(self, query: zenoh.Query) -> None:
         requests = self._port.core.requests
@@ -281,14 +280,17 @@ class OpenFront:
     def _on_contact(self, query: zenoh.Query) -> None:
         port = self._port
         sender = QuerySender(query, topics.CONTACT.key(self._cell))
-        try:
-            request = unpack(ContactRequest, _payload(query))
-            request = request.model_copy(update={"token": self._role_token(query)})
-            sender.origin = self._origin(request.client, request.token, self._identity(query))
-        except InvalidMessageError as error:
-            port.carry_out(port.core.increments.on_malformed(error, sender))
-        else:
-            port.carry_out(port.core.requests.on_contact(request, sender, port.now()))
+
+        def decide() -> list[Output]:
+            try:
+                request = unpack(ContactRequest, _payload(query))
+                request = request.model_copy(update={"token": self._role_token(query)})
+                sender.origin = self._origin(request.client, request.token, self._identity(query))
+            except InvalidMessageError as error:
+                return port.core.increments.on_malformed(error, sender)
+            return port.core.requests.on_contact(request, sender, port.now())
+
+        port.serve(decide, sender=sender)
 
     def _on_challenge(self, query: zenoh.Query) -> None:
         challenge = self._port.authentication.challenge(self._port.now())
@@ -297,9 +299,10 @@ class OpenFront:
     def _on_stop(self, query: zenoh.Query) -> None:
         # a stop is obeyed whatever the message says
         sender = QuerySender(query, topics.STOP.key(self._cell))
-        with contextlib.suppress(InvalidMessageError):
+        with contextlib.suppress(Exception):
             sender.origin = self._origin(unpack(StopRequest, _payload(query)).client, None)
-        self._port.carry_out(self._port.core.requests.on_stop(sender, self._port.now()))
+        on_stop, robots = self._port.core.requests.on_stop, self._increment_keys
+        self._port.serve(lambda: on_stop(sender, self._port.now()), robots, sender)
 
     def _on_status(self, query: zenoh.Query) -> None:
         QuerySender(query, topics.STATUS.key(self._cell)).deliver(self._port.status())
@@ -317,17 +320,20 @@ class OpenFront:
     ) -> None:
         port = self._port
         sender = QuerySender(query, topic.key(self._cell))
-        try:
-            request = unpack(request_type, _payload(query))
-            sender.key = topic.key(self._cell, robot=request.robot)
-            if not query.key_expr.intersects(zenoh.KeyExpr(sender.key)):
-                raise _wrong_key(request.robot, str(query.key_expr))
-            request = self._proven(request, query)
-            sender.origin = self._origin_of(request, query)
-        except InvalidMessageError as error:
-            port.carry_out(port.core.increments.on_malformed(error, sender))
-        else:
-            port.carry_out(decide(request, sender, port.now()))
+
+        def judged() -> list[Output]:
+            try:
+                request = unpack(request_type, _payload(query))
+                sender.key = topic.key(self._cell, robot=request.robot)
+                if not query.key_expr.intersects(zenoh.KeyExpr(sender.key)):
+                    raise _wrong_key(request.robot, str(query.key_expr))
+                request = self._proven(request, query)
+                sender.origin = self._origin_of(request, query)
+            except InvalidMessageError as error:
+                return port.core.increments.on_malformed(error, sender)
+            return decide(request, sender, port.now())
+
+        port.serve(judged, sender=sender)
 
     def _proven(self, request: RobotRequest, query: zenoh.Query) -> RobotRequest:
         """A request with what its proof stands for, whatever it says itself."""

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable, Iterable, Mapping
+from types import MappingProxyType
 from typing import Protocol
 
 from deltaq_protocol.messages import Status
 from deltaq_services.hli.authentication import Authentication
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.core import HliCore
-from deltaq_services.outputs import Output
+from deltaq_services.outputs import Output, Sender
 
 
 class Port(Protocol):
@@ -26,5 +28,11 @@ class Port(Protocol):
     def status(self) -> Status:
         """The running cell, with what the fronts counted."""
 
-    def carry_out(self, outputs: list[Output]) -> None:
-        """Send what the core wants sent."""
+    def serve(
+        self,
+        decide: Callable[[], list[Output]],
+        robots: Iterable[str] = (),
+        sender: Sender | None = None,
+        asked: Mapping[str, object] = MappingProxyType({}),
+    ) -> None:
+        """Send what the core decides, see `HliCore.contained`."""

@@ -7,7 +7,7 @@ state, and no longer; of several only the newest is kept. Where the lease asked 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -185,6 +185,12 @@ class RobotLink:
         self._admitted = admitted
         self.state: ServerState | None = None
         self.received_s = -math.inf
+
+    @property
+    def parts(self) -> Iterable[object]:
+        """The objects that change."""
+        others = (self._carried, self._admitted, self.playout)
+        return self, *(part for part in others if part is not None)
 
     def snapshot(self) -> LinkMemory:
         """Snapshot of the robot, for `restore`."""

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import secrets
 import ssl
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from deltaq_cell.description import CellDescription
@@ -27,11 +29,13 @@ from deltaq_services.hli.deeds import Deed
 from deltaq_services.hli.guarded_front import GuardedFront
 from deltaq_services.hli.open_front import OpenFront
 from deltaq_services.hli.tcp_front import TcpFront
-from deltaq_services.outputs import ClientOrigin, Output, ToSender
+from deltaq_services.outputs import ClientOrigin, Output, Sender, ToSender
 from deltaq_services.pace import Pace
 
 if TYPE_CHECKING:
     from deltaq_services.hli.authentication import ClientIdentities
+
+_log = logging.getLogger(__name__)
 
 _TICK_S = 0.02
 
@@ -121,17 +125,30 @@ class Hli:
         """The running cell, with what the fronts counted."""
         return self.core.status(self.now(), self._front_counters())
 
-    def carry_out(self, outputs: list[Output]) -> None:
-        """Send what the core wants sent, in its order."""
-        for output in outputs:
-            if isinstance(output, ToSender):
-                output.sender.deliver(output.message)
-            elif output.topic.realm is Realm.GUARDED:
-                self._guarded.publish(output.topic, output.robot, output.message)
-            else:
-                self._open.publish(output.topic, output.robot, output.message)
-                if isinstance(output.message, RobotState):
-                    self._tcp.publish_state(output.message)
+    def serve(
+        self,
+        decide: Callable[[], list[Output]],
+        robots: Iterable[str] = (),
+        sender: Sender | None = None,
+        asked: Mapping[str, object] = MappingProxyType({}),
+    ) -> None:
+        """Send what the core decides, in its order; what fails on its way is lost, see `HliCore.contained`."""
+        for output in self.core.contained(decide, self.now(), robots, sender, asked):
+            try:
+                self._send(output)
+            except Exception as error:
+                self.core.failed(error)
+        self.core.containment.log_once(_log)
+
+    def _send(self, output: Output) -> None:
+        if isinstance(output, ToSender):
+            output.sender.deliver(output.message)
+        elif output.topic.realm is Realm.GUARDED:
+            self._guarded.publish(output.topic, output.robot, output.message)
+        else:
+            self._open.publish(output.topic, output.robot, output.message)
+            if isinstance(output.message, RobotState):
+                self._tcp.publish_state(output.message)
 
     def _tell(self, deed: Deed) -> None:
         self._audit.tell(deed)
@@ -158,7 +175,7 @@ class Hli:
     def _tick(self) -> None:
         now = self.now()
         self._next_tick = self.loop.call_at(now + _TICK_S, self._tick)
-        self.carry_out(self.core.on_tick(now))
+        self.serve(lambda: self.core.on_tick(now), self._cell.robots)
         self._tell_of_unproven()
         self._audit.tick()
         if self._pace.due(now):

@@ -237,6 +237,20 @@ class HliState:
         command = self.new_command(kind="stop", robot=lease.robot, reason=ReasonCode.CONTROLLER_LOST)
         return outputs + self.command(command, None, Done(what="stop"), time_s)
 
+    def hold(self, robot: str, time_s: float) -> list[Output]:
+        """Order a robot to stop after an error that nobody foresaw, and forget the increments that wait for it.
+
+        It is not ordered again while the gate has not answered.
+        """
+        reason = Reason(code=ReasonCode.INTERNAL_ERROR)
+        outputs = [
+            output for asked in self.links[robot].drop() for output in self.refuse_asked(asked, reason)
+        ]
+        if self.commands.awaits_stop(robot):
+            return outputs
+        command = self.new_command(kind="stop", robot=robot, reason=ReasonCode.INTERNAL_ERROR)
+        return outputs + self.command(command, None, Done(what="stop"), time_s)
+
     def _told_of_expiry(self, lease: Lease) -> list[Output]:
         if lease.connection is None:
             return []

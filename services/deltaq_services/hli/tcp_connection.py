@@ -132,7 +132,8 @@ class TcpConnection(asyncio.Protocol, Sender):
         begin = len(self._lines)
         self._lines.add(data)
         if self._lines.take_stop(begin):
-            self._port.carry_out(self._port.core.take(StopRequest(), self._port.now(), self))
+            take, robots = self._port.core.take, self._port.core.description.robots
+            self._port.serve(lambda: take(StopRequest(), self._port.now(), self), robots, self)
         if self._for_stop_alone:
             self._lines.forget_whole()
             if len(self._lines) > MAX_LINE_BYTES:  # what has begun is too long for a stop
@@ -222,20 +223,23 @@ class TcpConnection(asyncio.Protocol, Sender):
         return is_whole
 
     def _serve(self, line: bytes) -> None:
-        increments, now = self._port.core.increments, self._port.now()
-        try:
-            data = line_to_map(line)
-            outputs = self._outputs(data, now)
-        except InvalidMessageError as error:
-            self._malformed_in_a_row += 1
-            outputs = increments.on_malformed(error, self)
-        else:
-            self._malformed_in_a_row = 0
-            outputs += self._port.core.requests.on_heard(self.leases.items(), now)
-        self._port.carry_out(outputs)
+        data: dict[str, Any] = {}
+        self._port.serve(lambda: self._judged(line, data), tuple(self.leases), self, data)
         if self._malformed_in_a_row >= MAX_MALFORMED_IN_A_ROW:
             text = f"{MAX_MALFORMED_IN_A_ROW} malformed lines in a row"
             self._give_up(text, "send one JSON object a line; `deltaq schema` prints their schema")
+
+    def _judged(self, line: bytes, data: dict[str, Any]) -> list[Output]:
+        """What comes of a line, which is read into `data`."""
+        core, now = self._port.core, self._port.now()
+        try:
+            data.update(line_to_map(line))
+            outputs = self._outputs(data, now)
+        except InvalidMessageError as error:
+            self._malformed_in_a_row += 1
+            return core.increments.on_malformed(error, self)
+        self._malformed_in_a_row = 0
+        return outputs + core.requests.on_heard(self.leases.items(), now)
 
     def _outputs(self, data: dict[str, Any], now: float) -> list[Output]:
         core = self._port.core
@@ -277,7 +281,7 @@ class TcpConnection(asyncio.Protocol, Sender):
             return self._turn_away(said, text, hint)
         self.origin = self._origin(hello, self.origin.address)
         outputs = self._port.core.take(hello, self._port.now(), self)
-        self._port.carry_out(outputs)
+        self._port.serve(lambda: outputs)
         if hello.protocol not in LINE_VERSIONS:
             self.close()
         else:

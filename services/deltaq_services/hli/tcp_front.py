@@ -128,8 +128,8 @@ class TcpFront:
         if self._places.leave(connection):
             if connection.is_welcome:
                 self._port.core.tell(Deed(AuditKind.DISCONNECTED, AuditOutcome.DONE, connection.origin))
-            outputs = self._port.core.requests.on_connection_lost(connection.leases.items(), self._port.now())
-            self._port.carry_out(outputs)
+            on_lost, leases = self._port.core.requests.on_connection_lost, connection.leases
+            self._port.serve(lambda: on_lost(leases.items(), self._port.now()), leases)
 
     def wants_turn(self, connection: TcpConnection) -> None:
         """A connection has a line waiting; it is served at once, or when its turn comes."""
