@@ -1,6 +1,7 @@
 """The Robot Server's core: the last program before the drives."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -57,10 +58,12 @@ class Rig:
         q_start=None,
         missed_last=False,
         cell=IDENTITY,
+        cycle_fault="",
     ):
         self.ipoc += 12
         supervision = Supervision(robot="fr", epoch=epoch, cycle=0, stop=stop, resets=self.resets, cell=cell)
         measured = Measurement(self.ipoc, self.q, q_start=q_start, missed_last=missed_last)
+        measured = replace(measured, cycle_known=not cycle_fault, cycle_fault=cycle_fault)
         self.q = self.server.cycle(measured, self.ipoc / 1000, admission, supervision if gate else None)
         return self.server.state
 
@@ -713,6 +716,37 @@ def test_a_reset_that_was_asked_for_while_nothing_was_seen_to_move_is_not_obeyed
     assert (state.phase, state.reason) == (Phase.HELD, ReasonCode.KRC_LOST)
     rig.resets += 1
     assert rig.cycle().phase is Phase.READY
+
+
+def test_a_robot_whose_krc_ticks_otherwise_in_motion_is_held_and_obeys_a_reset_once_it_does_not(rig):
+    rig.run_up(3)
+    rig.resets += 1
+    state = rig.cycle(rig.admission(4 * STEP), cycle_fault="every 4 ms")
+    assert (state.phase, state.reason, rig.server.detail) == (
+        Phase.HELD,
+        ReasonCode.CYCLE_MISMATCH,
+        "every 4 ms",
+    )
+    while any(rig.server.state.dq):
+        rig.cycle(cycle_fault="every 4 ms")
+    rig.resets += 1
+    state = rig.cycle(cycle_fault="every 4 ms")
+    assert (state.phase, state.resets) == (Phase.HELD, rig.resets)  # taken for given
+    for _ in range(3):
+        state = rig.cycle()
+    assert (state.phase, state.reason) == (Phase.HELD, ReasonCode.KRC_LOST)
+    rig.resets += 1
+    assert rig.cycle().phase is Phase.READY
+
+
+def test_before_a_robot_is_ready_its_krcs_cycle_is_known(unprobed):
+    for _ in range(PROBE_CYCLES + 5):
+        unprobed.ipoc += 12
+        alive = Supervision(robot="fr", epoch=EPOCH, cycle=0, cell=IDENTITY)
+        measured = Measurement(unprobed.ipoc, unprobed.q, cycle_known=False)
+        unprobed.q = unprobed.server.cycle(measured, 0.0, None, alive)
+        assert unprobed.server.state.phase is Phase.OFFLINE
+    assert unprobed.cycle().phase is Phase.READY
 
 
 def test_a_session_within_the_probe_of_another_is_probed_from_its_beginning(rig):

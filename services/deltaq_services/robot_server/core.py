@@ -383,6 +383,8 @@ class RobotServer:
             self._enter(Event.LINKED)
         if refused is not None:
             self._stop(refused)
+        elif self._reason is ReasonCode.CYCLE_MISMATCH and measured.cycle_known:
+            self._reason = ReasonCode.KRC_LOST  # its own cycle is back, and only a reset is missing
         if self._barred(measured) is not None:
             self._resets = max(self._resets, supervision.resets)  # one given now shall not be obeyed some day
         there = self._motion.rests and self._settling.is_near(measured.q, self._held_at)
