@@ -11,7 +11,7 @@ import numpy as np
 
 from deltaq_cell.cell_model import MOST_TOLD_BYTES, CellModel, LongDescriptionError
 from deltaq_cell.description import CellDescription
-from deltaq_cell.never_checked import SAMPLES, Pair, farthest_apart, ordered, overlaps_in_part, samples
+from deltaq_cell.never_checked import SAMPLES, Pair, Why, farthest_apart, ordered, overlaps_in_part, samples
 from deltaq_cell.placed_problems import PlacedProblems
 from deltaq_cell.problems import Problem
 from deltaq_cell.proximity import ProximityEngine
@@ -76,14 +76,15 @@ class ModelCheck:
     def _joined(self, robot: RobotModel) -> Iterator[Problem]:
         """Bodies that one joint joins are never checked, so that they overlap nowhere or, as a hinge, everywhere."""
         bodies = list(robot.geometry.geometryObjects)
-        for found in overlaps_in_part(robot.model, bodies, robot.home, robot.lower, robot.upper):
+        adjacent = [pair for pair, why in robot.never_checked.items() if why is Why.ADJACENT]
+        for found in overlaps_in_part(robot.model, bodies, adjacent, robot.home, robot.lower, robot.upper):
             name = robot.joint_names[found.joint]
             unit, factor = ("deg", math.degrees(1.0)) if robot.revolute[found.joint] else ("m", 1.0)
             where = " and ".join(f"{low * factor:.4g} to {high * factor:.4g}" for low, high in found.ranges)
             message = (
                 f"{' and '.join(found.pair)} overlap by up to {found.depth_m:.3f} m with this joint at {where} {unit}, "
-                "and are apart elsewhere; bodies that one joint joins are never checked: narrow its limits, or correct "
-                "the bodies"
+                "and are apart elsewhere; bodies that one joint joins are never checked: narrow its limits, correct "
+                "the bodies, or, if one slides into the other, name them in never_checked"
             )
             yield self._at(("robots", robot.name, "joints", name), message, severity="warning")
 

@@ -83,7 +83,7 @@ def never_checked(
             for side, name in enumerate(names)
         )
         for pair in product(first, second):
-            pairs.setdefault(ordered(*pair), Why.NAMED)
+            pairs[ordered(*pair)] = Why.NAMED
     touching = always_touching(model, bodies, pairs, description.home, description.lower, description.upper)
     _check_share(touching, len(bodies) * (len(bodies) - 1) // 2 - len(pairs))
     pairs |= touching
@@ -125,19 +125,20 @@ class Overlap:
 
 
 def overlaps_in_part(
-    model: Any, bodies: Sequence[Any], home: Array, lower: Array, upper: Array
+    model: Any, bodies: Sequence[Any], adjacent: Iterable[Pair], home: Array, lower: Array, upper: Array
 ) -> Iterator[Overlap]:
     """Bodies that one joint joins, which the gate presumes safe, and that overlap at some of its positions only.
 
     Args:
         model: pinocchio's, in which the bodies are.
         bodies: pinocchio geometry objects of one robot.
+        adjacent: names of the pairs that one joint joins.
         home: (n,) configuration of the other joints.
         lower: (n,) limits of the joints.
         upper: likewise.
     """
     carried = {body.name: int(body.parentJoint) for body in bodies}
-    adjacent = [pair for pair, why in joined_pairs(model, bodies).items() if why is Why.ADJACENT]
+    adjacent = list(adjacent)
     for joint in range(len(home)):
         pairs = [pair for pair in adjacent if max(carried[name] for name in pair) == joint + 1]
         places = np.linspace(lower[joint], upper[joint], PLACES)

@@ -169,3 +169,5 @@ def test_bodies_that_a_joint_brings_together_are_a_warning_with_range_and_depth(
     # their middles are 0.48 cos(b / 2) apart: 0.2 m at 130.8 degrees, 0.124 m at 150
     for part in ("r/three and r/two", "by up to 0.076 m", "at -150 to -132.5 and 132.5 to 150 deg"):
         assert part in problem.message
+    (tmp_path / "chain.yaml").write_text(CELL + "    never_checked: [[two, three]]\n")
+    assert check_cell(tmp_path / "chain.yaml").problems == ()

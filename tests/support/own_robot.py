@@ -31,7 +31,7 @@ URDF = """<robot name="toy_arm">
 """
 JOINTS = """
       pan: {home_deg: 0, lower_deg: -170, upper_deg: 170, max_velocity_deg_s: 90, max_acceleration_rad_s2: 8}
-      lift: {home_deg: 0, lower_deg: -120, upper_deg: 120, max_velocity_deg_s: 90, max_acceleration_rad_s2: 8}
+      lift: {home_deg: 0, lower_deg: -85, upper_deg: 85, max_velocity_deg_s: 90, max_acceleration_rad_s2: 8}
       Reach: {home_m: 0.2, lower_m: 0, upper_m: 0.45, max_velocity_m_s: 0.5, max_acceleration_m_s2: 4}"""
 
 
@@ -82,6 +82,7 @@ robots:"""
     base: {{position_m: [{x:.6f}, {y:.6f}, 0], rpy_deg: [0, 0, {np.rad2deg(turn) + 180:.6f}]}}
     mounted_on: [floor]
     locked_joints: {{jaw: 0.02}}
+    never_checked: [[Fore, probe]]
     joints:{JOINTS}"""
     file = folder / "circle.yaml"
     file.write_text(text + "\n", encoding="utf-8")
