@@ -27,6 +27,7 @@ from deltaq_verification.faults.catalogue import Fault
 from deltaq_verification.faults.live_cell import MovingCell, Needs, rows_of
 from deltaq_verification.faults.live_inject import Injector
 from deltaq_verification.faults.panel import PanelClient, PanelError, pendant_message, recovery
+from deltaq_verification.oracle import record_cycle_s
 from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
 from deltaq_verification.virtual_cell.parts import Process
 
@@ -259,6 +260,7 @@ class LiveCell(Observed):
                 unanswered=unanswered,
                 altered=_flipped(last) - _flipped(self._first[name]),
                 protest=pendant_message(last["message"]),
+                krc_cycle_s=record_cycle_s(self._records[name]),
             )
 
     def _since(self, robot: str, last: dict[str, Any], counter: str) -> int:

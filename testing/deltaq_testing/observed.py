@@ -38,6 +38,7 @@ class RobotHistory:
         reasons: why it was held, where it was.
         unanswered, altered: KRC cycles without a valid reply, and telegrams with another digit, so far.
         protest: message with which the KRC refused a setpoint.
+        krc_cycle_s: the KRC's cycle by its own record [s]; None where it is the cell's.
     """
 
     q: list[Array] = field(default_factory=list)
@@ -47,6 +48,7 @@ class RobotHistory:
     unanswered: int = 0
     altered: int = 0
     protest: str | None = None
+    krc_cycle_s: float | None = None
 
 
 class Observed:
@@ -192,7 +194,7 @@ class Observed:
         return judged(
             self.model.robots[name],
             np.array(history.setpoints),
-            self.cycle_s,
+            history.krc_cycle_s or self.cycle_s,
             history.unanswered,
             _NOWHERE,
             history.protest,

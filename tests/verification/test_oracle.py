@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_verification.oracle import ClearanceOracle, limit_violations
+from deltaq_emulator.recorder import CsvRecorder
+from deltaq_emulator.sample import Sample
+from deltaq_emulator.states import KrcState
+from deltaq_verification.oracle import ClearanceOracle, limit_violations, record_cycle_s
 from deltaq_verification.pair_distances import PairDistances
 
 CELL = CellModel.load("lab")
@@ -90,6 +93,19 @@ def test_along_a_motion_few_pairs_are_measured(monkeypatch):
 def test_a_limit_that_is_passed_is_counted(what, rows):
     found = limit_violations(FR, np.array(rows), 0.012)
     assert getattr(found, f"{what}_violations") > 0
+
+
+def test_an_arm_is_judged_in_the_seconds_of_its_controllers_own_record(tmp_path):
+    """Steps that are slow enough at 12 ms, of a controller that ticks every 4 ms."""
+    recorder, rows = CsvRecorder(0.004, FR.n), [FR.home + 0.9 * FR.max_velocity * 0.012 * k for k in range(3)]
+    recorder.start(tmp_path / "fr.csv")
+    for cycle, q in enumerate(rows, start=7):
+        recorder.row(Sample(cycle, 0, q, q, KrcState.RSI_RUNNING, None, {}))
+    recorder.stop()
+    cycle_s = record_cycle_s(tmp_path / "fr.csv")
+    assert cycle_s == pytest.approx(0.004)
+    assert limit_violations(FR, np.array(rows), 0.012).velocity_violations == 0
+    assert limit_violations(FR, np.array(rows), cycle_s).velocity_violations == 2 * FR.n
 
 
 def test_standing_still_passes_nothing():
