@@ -165,15 +165,24 @@ def test_stop_brings_a_driven_robot_to_rest_and_says_so(opened, way):
     page.wait_for_function(AT_REST)  # pictures come by themselves, and one may be on its way
 
 
-@pytest.mark.nightly
-def test_a_page_that_is_loaded_again_in_motion_leaves_the_robot_at_rest_and_free(opened):
+def test_a_page_that_is_loaded_again_in_motion_keeps_name_and_control_and_the_robot_rests(
+    opened, served_cell
+):
     page = opened()
+    name = page.get_by_label("Your name")
+    name.fill("Anna")
+    name.press("Enter")
+    page.wait_for_function("deltaq.live.hello.client === 'Anna' && deltaq.live.status?.hli")
     take_control(page)
     hold_until_it_moves(page)
     page.reload()
     page.wait_for_selector("[data-ready=true]", state="attached")
-    page.wait_for_function(f"deltaq.live.robot('gr') && !deltaq.live.robot('gr').lease.mine && {AT_REST}")
-    page.wait_for_function("deltaq.live.robot('gr').lease.holder === null")
+    page.wait_for_function(f"deltaq.live.robot('gr')?.lease.mine && {AT_REST}")
+    assert page.evaluate("deltaq.live.hello.client") == "Anna"
+    assert page.evaluate("deltaq.wish.isActive") is False
+    hold_until_it_moves(page)
+    page.mouse.up()
+    page.evaluate("clearInterval(pressing), deltaq.wish.releaseAll()")
 
 
 def test_a_line_that_is_cut_locks_the_page_and_nothing_is_sent_when_it_is_back(opened):

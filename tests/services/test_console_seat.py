@@ -1,10 +1,11 @@
 """Two operators and one robot: who has it, who asks for it, and how it changes hands."""
 
 import pytest
-from console_bench import CELL, ConsoleBench
+from console_bench import CELL, Browser, ConsoleBench
 
 from deltaq_protocol import driving
 from deltaq_protocol.messages import ViewTarget, ViewWish
+from deltaq_services.console.core import AWAY_S
 from deltaq_services.console.messages import AckOutcome
 
 REFUSED, DONE, ASKED = AckOutcome.REFUSED, AckOutcome.DONE, AckOutcome.ASKED
@@ -254,3 +255,111 @@ def test_without_the_operators_token_it_stays_with_its_holder_and_the_reason_is_
     assert "token" in tower.acks("t")[-1].text
     told = tower.status().robots["fr"].lease
     assert (told.holder, told.mine) == ("deltaq drive", False)
+
+
+# --- a page that is loaded anew ----------------------------------------------------------------------------------
+
+
+def comes(bench, session, name="Anna", operator=True):
+    client, outputs = bench.core.connect(name, operator, bench.now_s, session=session)
+    return Browser(bench, client, bench.done(outputs))
+
+
+def goes(bench, browser):
+    bench.done(bench.core.disconnect(browser.client, bench.now_s))
+
+
+@pytest.fixture
+def anna(bench):
+    anna = comes(bench, "s1")
+    anna.takes()
+    return anna
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"session": "s2"},
+        {"session": ""},
+        {"session": "s1", "name": "Bea"},
+        {"session": "s1", "operator": False},
+    ],
+)
+def test_another_session_name_or_role_does_not_come_back_to_the_robots_of_one_that_has_gone(
+    bench, anna, other
+):
+    goes(bench, anna)
+    stranger = comes(bench, **other)
+    assert stranger.client is not anna.client
+    assert not stranger.status().robots["fr"].lease.mine
+    assert stranger.send("jog", **JOG).outcome is REFUSED
+    bench.tick(AWAY_S + 0.1)
+    assert isinstance(bench.driver_requests()[-1], driving.Release)
+
+
+def test_a_page_that_is_loaded_anew_keeps_name_and_robot_which_rests_meanwhile(bench, anna):
+    goes(bench, anna)
+    assert bench.driver_requests()[-1] == driving.Wish()
+    watcher = comes(bench, "s2", "Bea")
+    assert watcher.status(AWAY_S - 0.1).robots["fr"].lease.holder == "Anna"
+    again = comes(bench, "s1")
+    assert again.got[0].client == "Anna"
+    assert again.status(AWAY_S).robots["fr"].lease.mine
+    bench.states()
+    assert again.send("jog", **JOG).outcome is DONE
+
+
+def test_a_page_that_stays_away_has_its_robots_released(bench, anna):
+    goes(bench, anna)
+    bench.tick(AWAY_S + 0.1)
+    assert isinstance(bench.driver_requests()[-1], driving.Release)
+    bench.driver_answers()
+    again = comes(bench, "s1")
+    assert again.status().robots["fr"].lease.holder is None
+    assert again.client is not anna.client
+
+
+def test_a_robot_that_follows_is_released_at_once_when_its_page_has_gone(bench, anna):
+    report = driving.DriverReport(
+        stage=driving.DriverStage.LEASED, mode=driving.DrivingMode.FOLLOW, doing="follows"
+    )
+    bench.core.drivers.said("fr", report, bench.now_s)
+    goes(bench, anna)
+    assert isinstance(bench.driver_requests()[-1], driving.Release)
+
+
+def test_a_second_tab_of_one_session_is_an_operator_of_its_own(bench, anna):
+    second = comes(bench, "s1")
+    assert second.client.name == "Anna 2"
+    goes(bench, second)
+    assert anna.status(AWAY_S + 0.1).robots["fr"].lease.mine
+
+
+def test_operators_without_a_name_are_numbered_from_one(bench):
+    for _ in range(3):
+        nameless = comes(bench, "", "")
+        assert nameless.client.name == "operator 1"
+        goes(bench, nameless)
+
+
+def test_who_resets_is_told_by_name(bench, anna):
+    anna.send("reset", robot="fr")
+    anna.hears(bench.core.answered(bench.asked("reset")[-1].request, False, "cause_stands", bench.now_s))
+    anna.status()
+    assert "Anna could not reset it: cause_stands" in anna.events("phase")
+    assert bench.asked("reset")[-1].client.startswith("console: Anna at")
+
+
+def test_while_the_hli_is_silent_nobody_is_said_to_have_control_elsewhere_and_its_start_is_told(bench, anna):
+    bench.core.board.heard({"fr": "Anna (console)", "gr": "leader"}, bench.now_s)
+    lost = driving.DriverReport(
+        stage=driving.DriverStage.FREE, mode=driving.DrivingMode.JOINT, doing="the HLI is gone"
+    )
+    bench.core.drivers.said("fr", lost, bench.now_s)
+    told = anna.status().robots["fr"].lease
+    assert (told.holder, told.outside) == (None, False)
+    assert told.text == "Anna has lost control: the HLI is gone"
+    bench.core.board.silent("no answer", bench.now_s)
+    told = anna.status()
+    assert told.robots["gr"].lease.holder is None
+    assert "deltaq up --cell lab --only hli" in told.remedy

@@ -28,6 +28,8 @@ class Client:
         clocks: its clock against this one.
         rate: bounds the rate of its messages.
         shows_replay: it shows a recording, and commands nothing but a stop.
+        session: by which its page is known again when it is loaded anew; empty for none.
+        given_name: the name that it gave itself.
     """
 
     number: int
@@ -37,6 +39,8 @@ class Client:
     clocks: ClockOffset = field(default_factory=ClockOffset)
     rate: RateLimit = field(default_factory=lambda: RateLimit(MOST_MESSAGES_S))
     shows_replay: bool = False
+    session: str = ""
+    given_name: str = ""
     _answers: OrderedDict[str, Ack] = field(default_factory=OrderedDict)
 
     @property

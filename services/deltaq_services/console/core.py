@@ -13,6 +13,7 @@ from deltaq_cell.description import CellDescription
 from deltaq_protocol import driving
 from deltaq_protocol.messages import Verdict
 from deltaq_services.console.client import Client
+from deltaq_services.console.clock_offset import ClockOffset
 from deltaq_services.console.commands import EXPIRY_S, AnyCommand, Ping, Record, ReplayShown, Stop
 from deltaq_services.console.decoding import InvalidCommandError, command_of
 from deltaq_services.console.driver_desk import DriverDesk
@@ -28,6 +29,8 @@ from deltaq_services.console.stop_progress import StopProgress
 from deltaq_services.console.words import bound_of
 
 MOST_CLIENTS = 32
+AWAY_S = 5.0
+"""A page that is loaded anew within this keeps its name and its robots, which rest meanwhile."""
 
 
 class ConsoleCore:
@@ -39,6 +42,7 @@ class ConsoleCore:
         token_needed: whether a client without the token is an observer.
         has_recordings: whether it was given a folder for recordings.
         process: what tells this console from one that was started before it.
+        name: of the cell or its file, as commands take it.
 
     Attributes:
         clients: connected browsers, by the number of the connection.
@@ -58,6 +62,7 @@ class ConsoleCore:
         token_needed: bool,
         has_recordings: bool = False,
         process: str = "",
+        name: str = "",
     ) -> None:
         self._process = process
         self.clients: dict[int, Client] = {}
@@ -73,28 +78,32 @@ class ConsoleCore:
         self._log = EventLog()
         self.picture = Picture(cell, bodies, self.robots, self._log)
         self.desk = RecordingDesk(cell.cell, has_recordings)
-        self.board = StatusBoard(self.robots, self.desk, self._log)
+        self.board = StatusBoard(self.robots, self.desk, self._log, name or cell.cell)
+        self._away: dict[str, tuple[float, Client]] = {}
         self._token_needed = token_needed
         self._numbers = itertools.count(1)
         self._pending = PendingRequests()
         self.drivers = DriverDesk(self.robots, self.clients, self._pending, self._log, self.counters)
 
     def connect(
-        self, name: str, is_operator: bool, now_s: float, address: str = ""
+        self, name: str, is_operator: bool, now_s: float, address: str = "", session: str = ""
     ) -> tuple[Client | None, list[ConsoleOutput]]:
         """A browser has connected; no client if there are too many."""
         if len(self.clients) >= MOST_CLIENTS:
             self.counters["clients_refused"] += 1
             return None, []
-        number = next(self._numbers)
-        kind = "operator" if is_operator else "observer"
-        taken = {client.name for client in self.clients.values()}
-        client = Client(
-            number, name if name and name not in taken else f"{name or kind} {number}", is_operator, address
-        )
+        _, client = self._away.pop(session, (0.0, None))
+        left: list[ConsoleOutput] = []
+        if client is not None and (client.given_name, client.is_operator) != (name, is_operator):
+            left, client = self._left(client, now_s), None  # it has come back as another
+        if client is None:
+            in_use = any(each.session == session for each in self.clients.values())
+            client = Client(next(self._numbers), self._free_name(name, is_operator), is_operator)
+            client.session, client.given_name = "" if in_use else session, name
+            self.counters["clients"] += 1
+            self._log.add(now_s, "client", f"{client.name} has connected")
+        client.address, client.clocks, number = address, ClockOffset(), client.number
         self.clients[number] = client
-        self.counters["clients"] += 1
-        self._log.add(now_s, "client", f"{client.name} has connected")
         hello = ConsoleHello(
             console=self._process,
             client=client.name,
@@ -103,14 +112,30 @@ class ConsoleCore:
             server_ms=1000.0 * now_s,
         )
         ways = (side.ways for side in self.robots.values() if side.ways is not None)
-        return client, [ToClient(number, message) for message in (hello, *self._log.kept, *ways)]
+        return client, [*left, *(ToClient(number, message) for message in (hello, *self._log.kept, *ways))]
 
     def disconnect(self, client: Client, now_s: float) -> list[ConsoleOutput]:
-        """A browser has disconnected: robots that it drove come to rest and are released."""
+        """A browser has disconnected: robots that it drove come to rest, and are released unless it comes back."""
         del self.clients[client.number]
         self.board.forget(client)
+        if client.session and not client.shows_replay:
+            self._away[client.session] = (now_s + AWAY_S, client)
+            return self.drivers.rest(client)
+        return self._left(client, now_s)
+
+    def _left(self, client: Client, now_s: float) -> list[ConsoleOutput]:
         self._log.add(now_s, "client", f"{client.name} has disconnected")
         return self.drivers.leave(client)
+
+    def _free_name(self, name: str, is_operator: bool) -> str:
+        """The name that a browser gave itself, with a number if another has it."""
+        away = (client for _, client in self._away.values())
+        taken = {client.name for client in (*self.clients.values(), *away)}
+        if name and name not in taken:
+            return name
+        kind = name or ("operator" if is_operator else "observer")
+        numbered = (f"{kind} {number}" for number in itertools.count(2 if name else 1))
+        return next(each for each in numbered if each not in taken)
 
     def take(self, client: Client, message: str | bytes, now_s: float) -> list[ConsoleOutput]:
         """Take a message of a browser; every message is answered, also an invalid one."""
@@ -137,7 +162,7 @@ class ConsoleCore:
             return [ToClient(client.number, before)]
         if late_s > EXPIRY_S[command.type]:
             self.counters["expired"] += 1
-            text = f"sent_ms: the command came {late_s:.2f} s late; bound {EXPIRY_S[command.type]:g} s"
+            text = f"your browser was {late_s:.2f} s late; bound {EXPIRY_S[command.type]:g} s: press again"
             return [acknowledged(client, command.id, AckOutcome.EXPIRED, text)]
         try:
             return self._obey(client, command, now_s)
@@ -157,6 +182,9 @@ class ConsoleCore:
             self._log.add(
                 now_s, "stop", "every robot is held" if done else f"the stop is not confirmed: {text}"
             )
+        if asked.kind == "reset" and client is not None:
+            did = "has reset it" if done else f"could not reset it: {text}"
+            self._log.add(now_s, "phase", f"{client.name} {did}", asked.robot)
         outcome = AckOutcome.DONE if done else AckOutcome.REFUSED
         if client is None or client.number not in self.clients:
             return []
@@ -184,7 +212,12 @@ class ConsoleCore:
     def tick(self, now_s: float) -> list[ConsoleOutput]:
         """The messages that browsers must get now, in addition to frames."""
         self.stop.see({name: side.motion(now_s) for name, side in self.robots.items()})
-        return self.board.tell(self.clients.values(), self.stop, now_s)
+        gone = [session for session, (until_s, _) in self._away.items() if now_s >= until_s]
+        outputs: list[ConsoleOutput] = []
+        for session in gone:
+            _, client = self._away.pop(session)
+            outputs += self._left(client, now_s)
+        return [*outputs, *self.board.tell(self.clients.values(), self.stop, now_s)]
 
     def health(self) -> dict[str, object]:
         """The console's report on itself."""

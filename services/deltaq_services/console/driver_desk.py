@@ -55,6 +55,18 @@ class DriverDesk:
             outputs += self._pending.send(side.seat.leave(client, self._pending.new_id), None, "")
         return outputs
 
+    def rest(self, client: Client) -> list[ConsoleOutput]:
+        """A client's page is gone, maybe for a moment: what it drives rests; what moves by itself is released."""
+        outputs: list[ConsoleOutput] = []
+        for side in self._robots.values():
+            if side.seat.holder is not client:
+                continue
+            if side.report is not None and side.report.mode is driving.DrivingMode.FOLLOW:
+                outputs += self._pending.send(side.seat.leave(client, self._pending.new_id), None, "")
+            else:
+                outputs.append(ToDriver(side.name, driving.Wish()))
+        return outputs
+
     def said(self, robot: str, said: driving.DriverMessage, now_s: float) -> list[ConsoleOutput]:
         """A line of a robot's driver."""
         side = self._robots[robot]
@@ -63,7 +75,7 @@ class DriverDesk:
             return [ToClient(number, side.ways) for number in self._clients]
         if isinstance(said, driving.DriverReport):
             side.report = said
-            if said.stage is driving.DriverStage.FREE and side.seat.lost():
+            if said.stage is driving.DriverStage.FREE and side.seat.lost(said.doing):
                 self._log.add(now_s, "lease", f"the lease was lost: {said.doing}", robot)
             return []
         client, command, asked = self._pending.answered(said.id)

@@ -147,13 +147,14 @@ class RecordingView(Message):
 class ConsoleStatus(Message):
     """What changes seldom; sent when it has changed, and once a second.
 
-    `hli` is False while the HLI is not heard: then `text` says why, and all else is old. `recording` is None for a
-    console that was given no folder for recordings.
+    `hli` is False while the HLI is not heard: then `text` says why, `remedy` what to do, and all else is old.
+    `recording` is None for a console that was given no folder for recordings.
     """
 
     type: Literal["status"] = "status"
     hli: bool
     text: str = ""
+    remedy: str = ""
     robots: dict[str, RobotStatusView]
     stop: StopPhase = StopPhase.NONE
     wanted_by: str | None = None

@@ -218,7 +218,8 @@ class RobotSide:
         """What a browser is told; whose lease it is, each is told for itself (`seen_by`)."""
         state, report, seat = self.feed.state, self.report, self.seat
         text, remedy = phase_words(state, self.feed.is_stale(now_s))
-        holder = seat.holder.name if seat.holder is not None else self.outside_holder
+        outside = self.outside_holder if self.outside_holder != seat.lease_name else None
+        holder = seat.holder.name if seat.holder is not None else outside
         lease = LeaseView(
             holder=holder,
             outside=seat.holder is None and holder is not None,

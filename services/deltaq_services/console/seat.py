@@ -52,13 +52,14 @@ class Seat:
         holder: the client that drives it, or is about to.
         wanted_by: the client that asks for it.
         text: what became of the newest hand-over, in words.
+        lease_name: in which the lease was taken last; the HLI may tell it a moment longer than it is held.
     """
 
     def __init__(self, robot: str) -> None:
         self.robot = robot
         self.holder: Client | None = None
         self.wanted_by: Client | None = None
-        self.text = ""
+        self.text = self.lease_name = ""
         self._next: Client | None = None
         self._stage = _Stage.FREE
 
@@ -109,10 +110,11 @@ class Seat:
             return Handled(told=f"{self.robot} was released")
         return Handled()
 
-    def lost(self) -> bool:
+    def lost(self, why: str) -> bool:
         """The driver holds the lease no more; returns whether it was held."""
         was_held = self._stage is _Stage.HELD
-        if was_held:
+        if was_held and self.holder is not None:
+            self.text = f"{self.holder.name} has lost control: {why}"
             self._stage, self.holder = _Stage.FREE, None
         return was_held
 
@@ -128,8 +130,8 @@ class Seat:
         self.holder, self._stage, self.text = client, _Stage.TAKING, ""
         if self.wanted_by is client:
             self.wanted_by = None
-        name = f"{client.name} (console)"[:_LONGEST_NAME]
-        take = driving.Take(id=request(), client=name, by_force=by_force)
+        self.lease_name = f"{client.name} (console)"[:_LONGEST_NAME]
+        take = driving.Take(id=request(), client=self.lease_name, by_force=by_force)
         return Handled((ToDriver(self.robot, take),))
 
     def _released_by(self, client: Client, request: Callable[[], str]) -> Handled:

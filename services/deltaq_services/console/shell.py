@@ -104,6 +104,7 @@ class Console:
             token_needed,
             has_recordings=recordings is not None,
             process=secrets.token_hex(8),
+            name=cell_name,
         )
         self._identity = content_identity(description)
         self._link = HliLink(
@@ -145,9 +146,11 @@ class Console:
         """Time of day as it was at the start, and counted on without steps [s]."""
         return self._epoch_s + time.monotonic()
 
-    async def serve(self, connection: BrowserConnection, name: str, is_operator: bool, address: str) -> None:
+    async def serve(
+        self, connection: BrowserConnection, name: str, is_operator: bool, address: str, session: str = ""
+    ) -> None:
         """Serve one browser until it has gone."""
-        client, outputs = self.core.connect(name, is_operator, self.now_s(), address)
+        client, outputs = self.core.connect(name, is_operator, self.now_s(), address, session)
         if client is None:
             return
         self._connections[client.number] = connection
@@ -248,7 +251,7 @@ class Console:
                 for connection in self._connections.values():
                     connection.put_frame(frame)
             stopping = self.core.stop.phase in (StopPhase.ASKED, StopPhase.STOPPING)
-            if stopping or ticks % _TOLD_EVERY == 0:
+            if stopping or not self._connections or ticks % _TOLD_EVERY == 0:
                 self._carry_out(self.core.tick(now_s))
             ticks += 1
             if self._heartbeat.is_due(now_s):

@@ -23,14 +23,20 @@ class StatusBoard:
         robots: each robot's side.
         desk: the recording that is being written.
         log: the event log, whose lines are sent too.
+        cell: its name or file, as commands take it.
 
     Attributes:
         hli: whether the HLI is heard.
         text: why it is not.
     """
 
-    def __init__(self, robots: Mapping[str, RobotSide], desk: RecordingDesk, log: EventLog) -> None:
+    def __init__(
+        self, robots: Mapping[str, RobotSide], desk: RecordingDesk, log: EventLog, cell: str
+    ) -> None:
         self.hli, self.text = False, "the HLI is not heard yet"
+        self._remedy = (
+            f"No robot can be driven, and control is lost. Start it: deltaq up --cell {cell} --only hli"
+        )
         self._robots, self._desk, self._log = robots, desk, log
         self._told: dict[int, tuple[float, ConsoleStatus]] = {}
 
@@ -48,6 +54,8 @@ class StatusBoard:
         if self.hli:
             self._log.add(now_s, "link", f"the HLI is silent: {text}")
         self.hli, self.text = False, text
+        for side in self._robots.values():
+            side.outside_holder = None  # what it told last is old
 
     def forget(self, client: Client) -> None:
         """A browser has gone."""
@@ -63,6 +71,7 @@ class StatusBoard:
             status = ConsoleStatus(
                 hli=self.hli,
                 text=self.text,
+                remedy="" if self.hli else self._remedy,
                 robots={name: self._robots[name].seen_by(client, view) for name, view in views.items()},
                 stop=stop.phase,
                 wanted_by=stop.by,

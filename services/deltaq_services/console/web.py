@@ -36,7 +36,7 @@ _log = logging.getLogger(__name__)
 _LONGEST_BYTES = 64 * 1024
 """Longest message that is read at all; commands are shorter, and this much is told so."""
 _NOT_PERMITTED = 1008
-_LONGEST_NAME = 32
+_LONGEST_NAME, _LONGEST_SESSION = 32, 64
 
 
 def serve(settings: Settings) -> None:
@@ -144,12 +144,12 @@ def application(console: Console, settings: Settings) -> FastAPI:
             await websocket.close(_NOT_PERMITTED)
             return
         await websocket.accept()
-        name = websocket.query_params.get("name", "")[:_LONGEST_NAME]
+        name = websocket.query_params.get("name", "").strip()[:_LONGEST_NAME]
+        session = websocket.query_params.get("session", "")[:_LONGEST_SESSION]
         address = websocket.client.host if websocket.client else ""
         is_operator = entrance is Entrance.OPERATOR
-        await console.serve(
-            BrowserConnection(websocket), name if name.isprintable() else "", is_operator, address
-        )
+        shown = name if name.isprintable() else ""
+        await console.serve(BrowserConnection(websocket), shown, is_operator, address, session)
 
     return app
 

@@ -88,7 +88,7 @@ export async function showCell(holder, live, stop, look) {
       const name = picture?.view.name;
       const now = live.robot(name)?.view_distance_m ?? picture?.error()?.distance;
       const [least, most] = scene.pad.view_range_m;
-      if (now) live.send("view_distance", { robot: name, value_m: Math.min(most, Math.max(least, now + change)) });
+      if (now) ask("view_distance", { robot: name, value_m: Math.min(most, Math.max(least, now + change)) });
     },
     stop: () => stop.press(),
   };

@@ -36,6 +36,12 @@ export class Connection extends EventTarget {
     this._socket?.close();
   }
 
+  /** Go on at this address, as another. */
+  renew(url) {
+    this.url = url;
+    if (this._socket) this._drop();
+  }
+
   /**
    * Send a command. Resolves with the newest answer {outcome, text}: the server's, "lost" if none came in time, or
    * "not_sent" at once if the line is down. `heard` is called with each answer: "asked" may be followed by "done".

@@ -11,6 +11,15 @@ import { MODES, modesOf } from "./modes.js";
 import { posePanel } from "./pose_panel.js";
 
 const TAKE_OVER_MS = 1000;
+const [LATE_MS, TOLD_MS] = [5000, 4000];
+const TITLES = {
+  take: "Take control", take_over: "Take over", release: "Release", grant: "Hand over", refuse: "Keep it",
+  lease: "Ask for it", reset: "Reset", mode: "Mode", output: "Output", view_distance: "View distance", look_at: "Looks at", master: "Master", advise: "Options",
+};
+const ANSWERS = {
+  done: () => "done", asked: () => "asked", refused: (text) => `refused, ${text}`, expired: (text) => `not done, ${text}`,
+  lost: (text) => `not confirmed, ${text}; press again`, not_sent: (text) => `not sent, ${text}`,
+};
 const SEEN_MS = 700; // a banner that has just come cannot be answered yet: a press was meant for what it covers
 const FOLLOW_MS = 800; // a robot that follows moves by itself: held, so that it is meant
 
@@ -138,10 +147,25 @@ export function drivingPanel(context) {
   }
 
   const answer = el("p", { class: "answer", role: "status" });
+  let late = null;
+  /** Send a command; what became of it is always told. */
   async function ask(type, fields) {
-    say(answer, "");
-    const show = (ack) => ["refused", "expired", "lost", "not_sent"].includes(ack.outcome) && say(answer, ack.text);
-    show(await live.send(type, { robot: driven.name, ...fields }, show));
+    const what = TITLES[fields?.action] ?? TITLES[type];
+    const tell = (outcome, words) => {
+      clearTimeout(late);
+      answer.dataset.outcome = outcome;
+      say(answer, `${what}: ${words}.`);
+      answer.parentElement.scrollTop = 0;
+    };
+    const id = (ask.count = (ask.count ?? 0) + 1);
+    const heard = ({ outcome, text }) => {
+      if (id !== ask.count) return; // another was asked since
+      tell(outcome, ANSWERS[outcome](text.replace(/^[a-z_]+: /, "").replace(/\.$/, "")));
+      if (outcome === "asked") late = setTimeout(() => tell("lost", ANSWERS.lost("no answer yet")), LATE_MS);
+      if (outcome === "done") late = setTimeout(() => say(answer, ""), TOLD_MS);
+    };
+    const ack = await live.send(type, { robot: driven.name, ...fields }, heard);
+    if (ack.outcome === "not_sent") heard(ack);
   }
 
   const phase = el("p", { class: "phase" });
@@ -208,8 +232,9 @@ export function drivingPanel(context) {
     const locked = live.locked(driven.name);
     body.dataset.mine = String(mine);
     phase.dataset.phase = robot.phase;
-    say(phase, robot.text);
-    say(remedy, robot.remedy);
+    const { hli, text: why, remedy: starts } = live.status;
+    say(phase, hli ? robot.text : "the HLI is silent");
+    say(remedy, hli ? robot.remedy : `${starts}. (${why.replace(/\.$/, "")}.)`);
     reset.hidden = robot.phase !== "held";
     reset.disabled = !!locked;
     const elsewhere = outside ? " It is not a browser at this console. Wait until it releases the robot, or take the robot over, which brings it to rest." : "";

@@ -2,18 +2,25 @@
 // and all that is drawn of it, is loaded after that; what goes wrong there is told in words.
 
 import { Connection } from "./connection.js";
-import { part, say } from "./dom.js";
+import { part, remember, remembered, say } from "./dom.js";
 import { eventLog } from "./event_log.js";
 import { Live } from "./live.js";
 import { coverStale, lightOrDark, showBar } from "./status_bar.js";
 import { bindStop, Stop } from "./stop.js";
 import { tellUndrawn } from "./undrawn.js";
 
-/** Address of the live WebSocket; a token in the page's address goes with it. */
+/** By which the console knows this tab again when its page is loaded anew. */
+function session() {
+  const kept = remembered("session", "", "sessionStorage") || [...crypto.getRandomValues(new Uint32Array(4))].map((part) => part.toString(16)).join("-");
+  remember("session", kept, "sessionStorage");
+  return kept;
+}
+
+/** Address of the live WebSocket; a token in the page's address goes with it, and the operator's name. */
 function liveUrl() {
   const token = new URLSearchParams(location.search).get("token");
-  const query = token ? `?token=${encodeURIComponent(token)}` : "";
-  return `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live${query}`;
+  const query = new URLSearchParams({ ...(token ? { token } : {}), name: remembered("operator", ""), session: session() });
+  return `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live?${query}`;
 }
 
 /** Start; returns what stops it. */
@@ -32,7 +39,10 @@ export async function start(holder) {
 
   // for tests and the curious: what is behind the page
   window.deltaq = { live, stop };
-  showBar(live);
+  showBar(live, (name) => {
+    remember("operator", name);
+    connection.renew(liveUrl());
+  });
   coverStale(live);
   eventLog(live);
   const look = lightOrDark();

@@ -13,10 +13,14 @@ export function nameCell(scene) {
   reality.title = scene.emulated ? "No robot of this cell is real." : "What you do here moves real robots.";
 }
 
-export function showBar(live) {
+/** @param named called with the operator's name when it was entered. */
+export function showBar(live, named) {
   let chips = [];
   const age = part("age");
-  const who = part("who");
+  const name = el("input", { type: "text", maxlength: 32, placeholder: "your name", "aria-label": "Your name", value: remembered("operator", "") });
+  const role = el("span");
+  part("who").append(name, role);
+  name.addEventListener("change", () => named(name.value.trim()));
 
   /** One a robot, in the order of the status, which is that of the frames too. */
   function build(names) {
@@ -45,7 +49,10 @@ export function showBar(live) {
     else if (!Number.isFinite(seconds)) say(age, "no data");
     else say(age, seconds < 1 ? `data ${Math.max(10, Math.round(seconds * 100) * 10)} ms` : `data ${seconds.toFixed(1)} s`);
     const hello = live.hello;
-    say(who, hello ? (hello.operator ? hello.client : `${hello.client} · watching only`) : "");
+    name.title = hello ? `Others see you as ${hello.client}.` : "";
+    name.disabled = Object.values(live.status?.robots ?? {}).some(({ lease }) => lease.mine); // who has control is told by this name
+    name.dataset.asked = String(!!hello?.operator && !remembered("operator", ""));
+    say(role, hello && !hello.operator ? "watching only" : "");
   }
   setInterval(show, 200);
   live.addEventListener("status", show);

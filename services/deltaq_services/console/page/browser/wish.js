@@ -86,7 +86,7 @@ export class Wish {
     if (!this._robot) return;
     const hand = (wanted.wish || wanted.led) && this.target.hand();
     this.live.send("jog", { robot: this._robot, ...wanted, ...(hand ? { hand } : {}) }).then((ack) => {
-      if (ack.outcome === "refused") this._refuse(ack.text);
+      if (ack.outcome !== "done") this._refuse(ack.text);
     });
   }
 }
