@@ -5,8 +5,8 @@ import { mock, test } from "node:test";
 
 const folder = process.env.DELTAQ_BROWSER_MODULES;
 const load = (name) => import(`${folder}/${name}.js`);
-const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { Gamepad, shaped, wishOf }, { csvCell }, { Player, Replay }, drag, { score }, hands, { Pace }, { framed }, { boxesBeside, roomOf }, { axisOf, axisText }, { modesOf }, { Handover, UNSEEN_MS }, { targetsOf }] = await Promise.all(
-  ["connection", "live", "stop", "wish", "frame", "series", "gamepad", "event_log", "replay", "drag_math", "advisor_cards", "hands", "pace", "framing", "tags", "plots", "modes", "handover", "look_at"].map(load),
+const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { Gamepad, shaped, wishOf }, { csvCell }, { Player, Replay }, drag, { score }, hands, { Pace }, { framed }, { boxesBeside, roomOf }, { axisOf, axisText }, { modesOf }, { Handover, UNSEEN_MS }, { targetsOf }, { poseText }] = await Promise.all(
+  ["connection", "live", "stop", "wish", "frame", "series", "gamepad", "event_log", "replay", "drag_math", "advisor_cards", "hands", "pace", "framing", "tags", "plots", "modes", "handover", "look_at", "dom"].map(load),
 );
 
 // what wish.js and stop.js hear from a page
@@ -542,6 +542,11 @@ test("a pad that can rumbles while a limit holds the hand back, the more the les
   assert.deepEqual(stands("move"), [["dual-rumble", 0.75]]);
   assert.deepEqual(stands(), [], "nothing is wished for");
   assert.deepEqual(world.stand(["move"], [0, -1, 0, 0]).includes("hold"), true, "a pad that cannot moves the robot all the same");
+});
+
+test("a tool's pose is told as on a pendant", () => {
+  const [c, s] = [Math.cos(Math.PI / 6), Math.sin(Math.PI / 6)];
+  assert.equal(poseText([c, s, 0, 0, -s, c, 0, 0, 0, 0, 1, 0, 0.5, -1.25, 2, 1]), "X 500  Y -1250  Z 2000 mm\nA 30.0  B 0.0  C 0.0 °");
 });
 
 test("a saved event cannot become a formula of a spreadsheet", () => {

@@ -61,7 +61,9 @@ def test_no_motion_control_moves_whatever_the_page_has_to_say(alone, width, heig
             seen = []
             for fields in states(mode):
                 view = mine(**{"mode": mode, "outputs": {"gripper": True}, **fields})
-                seen.append(places("status => line.show(status)", status(**{robot: view})))
+                other = {"phase": fields.get("phase", Phase.READY)}
+                told = status(**{robot: view, "fr" if robot == "gr" else "gr": other})
+                seen.append(places("status => line.show(status)", told))
                 if len(seen) == 1:
                     page.evaluate(SCROLL, scrolled)
                     seen = [places("() => {}")]

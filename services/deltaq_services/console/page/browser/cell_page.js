@@ -68,7 +68,7 @@ export async function showCell(holder, live, stop, look) {
   const { ask, pose, hands } = drivingPanel(context);
   const player = replayBar(live, scene);
   recordings(live, scene, player.open);
-  const bars = jointBars(live, scene);
+  const bars = jointBars(live, scene, views);
   livePlots(live, scene, picture, bars);
   const actions = {
     mode() {

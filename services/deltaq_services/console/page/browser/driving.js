@@ -171,6 +171,8 @@ export function drivingPanel(context) {
   const phase = el("p", { class: "phase" });
   const remedy = el("p", { class: "remedy" });
   const reset = el("button", { class: "primary", onclick: () => ask("reset") }, "Reset");
+  const resetAll = el("button", { onclick: () => held().forEach((robot) => ask("reset", { robot })) }, "Reset all");
+  const held = () => Object.keys(live.status?.robots ?? {}).filter((name) => live.status.robots[name].phase === "held");
   const lease = el("p", { class: "lease" });
   const buttons = {
     take: ["Take control", "primary"], ask: ["Ask for it", "primary"], release: ["Release", ""],
@@ -220,7 +222,7 @@ export function drivingPanel(context) {
   const master = masterPanel(context, ask);
   const lookAt = lookAtPanel(context, ask);
   body.append(
-    el("section", { class: "card" }, el("div", { class: "place" }, answer, phase, remedy, lease), el("div", { class: "row" }, ...Object.values(verbs), takeOver, reset)),
+    el("section", { class: "card" }, el("div", { class: "place" }, answer, phase, remedy, lease), el("div", { class: "row" }, ...Object.values(verbs), takeOver, reset, resetAll)),
     modeBox, hands.box, moveBox, advisor.box, pose.box, zoom, lookAt.box, master.box, signals,
   );
 
@@ -236,7 +238,8 @@ export function drivingPanel(context) {
     say(phase, hli ? robot.text : "the HLI is silent");
     say(remedy, hli ? robot.remedy : `${starts}. (${why.replace(/\.$/, "")}.)`);
     reset.hidden = robot.phase !== "held";
-    reset.disabled = !!locked;
+    resetAll.hidden = reset.hidden || held().length < 2;
+    reset.disabled = resetAll.disabled = !!locked;
     const elsewhere = outside ? " It is not a browser at this console. Wait until it releases the robot, or take the robot over, which brings it to rest." : "";
     const whose = mine ? "You have control." : holder ? `${holder} has control.${elsewhere}` : "Nobody has control.";
     const me = live.hello?.client;
