@@ -391,6 +391,12 @@ def test_drives_that_lag_more_than_the_gate_presumes_are_refused_with_axis_and_f
     assert not np.any(probe.added_to(np.zeros(9)))
 
 
+def test_drives_that_are_not_done_within_a_window_are_not_driven():
+    probe = Drives(ServoLag(dead_time_s=0.07, natural_frequency_rad_s=20.0, damping=0.5)).trial()
+    assert (probe.mode, probe.unseen) == (Mode.UNKNOWN, GR.joint_names)
+    assert probe.detail.endswith("do the drives lag less than 300 ms?")
+
+
 @pytest.mark.parametrize(("decimals", "jitter"), [(3, 0.0), (4, 8.0)])
 def test_a_lag_that_decimals_or_noise_hide_is_not_told_and_refuses_nobody(decimals, jitter):
     probe = Drives(SLOW, decimals=decimals, jitter=jitter).trial(2 * TRIAL + PAUSE)

@@ -271,17 +271,21 @@ class ModeProbe:
             if Mode.RELATIVE in seen:
                 self.mode = Mode.RELATIVE
             elif not self.unseen:
-                self.mode = Mode.ABSOLUTE
                 self._measure_lags(samples)
             self._cycle = -_PAUSE_WINDOWS * self._trial.window
         self._samples, self._cycles, self._void = [], [], False
 
     def _measure_lags(self, samples: Array) -> None:
         cycles = np.array(self._cycles)
-        self.lags = tuple(joint_lags(samples, cycles, self._trial, self._cycle_s))
+        lags = joint_lags(samples, cycles, self._trial, self._cycle_s)
+        named = tuple(zip(self._joints, lags, strict=True))
+        self.unseen = tuple(name for name, lag in named if lag and math.isinf(lag.least_s))
+        if self.unseen:
+            return
+        self.mode, self.lags = Mode.ABSOLUTE, tuple(lags)
         beyond_s = [
             max(lag.least_s, min(lag.settled_s, LONGEST_S)) if lag and lag.least_s > self._presumed_s else 0.0
-            for lag in self.lags
+            for lag in lags
         ]
         self._lagging = lag_fault(self._joints, beyond_s, self._presumed_s, self._cycle_s)
 

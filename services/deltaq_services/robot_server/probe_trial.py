@@ -20,7 +20,7 @@ tells the lag of each joint (`deltaq_cell.drive_lag`). A pulse lasts some cycles
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -127,7 +127,8 @@ def joint_lags(samples: Array, cycles: Array, trial: Trial, cycle_s: float) -> l
         cycle_s: sample time.
 
     Returns:
-        n lags; None for a joint whose noise, or whose telegram's decimals, hide it.
+        n lags; None for a joint whose noise, or whose telegram's decimals, hide it. They are infinite where the two
+        responses differ: one was still on its way when the next pulse came, or something else moved the joint.
     """
     halves, evenly = [], np.arange(1, trial.window + 1)
     for begin, sign in zip(trial.begins, (1.0, -1.0), strict=True):
@@ -139,16 +140,18 @@ def joint_lags(samples: Array, cycles: Array, trial: Trial, cycle_s: float) -> l
         halves.append(sign * np.cumsum(moved, axis=1))
     differ = np.abs(halves[0] - halves[1]).max(axis=1) / 2
     ends = (trial.rest + 1, *(begin + trial.window for begin in trial.begins))
-    noise = np.sqrt(np.mean([samples[end - trial.rest : end].var(axis=0) for end in ends], axis=0))
+    noise = np.sqrt(np.mean([samples[end - trial.rest : end].var(axis=0, ddof=1) for end in ends], axis=0))
     # the mean of both halves has a quarter of the difference between first and last rest at every sample
     sums = trial.window * math.sqrt(2.0 / trial.rest) / 4.0
     lags: list[AxisLag | None] = []
     for joint, arrived in enumerate((halves[0] + halves[1]) / 2):
         decimal = float(np.diff(np.unique(samples[:, joint])).min(initial=1.0))
-        deviation = max(float(noise[joint]), decimal / math.sqrt(12.0))
-        uncertain = max(float(differ[joint]), 3.0 * deviation * sums) + decimal
+        noisy = 3.0 * max(float(noise[joint]), decimal / math.sqrt(12.0)) * sums + decimal
         first_s = (1.5 - trial.pulse // 2) * cycle_s  # a sample is the mean over half a cycle to either side
-        lags.append(None if uncertain > _UNRESOLVED else axis_lag(arrived, first_s, cycle_s, uncertain))
+        lag = axis_lag(arrived, first_s, cycle_s, max(float(differ[joint]) + decimal, noisy))
+        if differ[joint] > max(_UNRESOLVED, 4.0 * noisy):
+            lag = replace(lag, settled_s=math.inf, least_s=math.inf)
+        lags.append(None if noisy > _UNRESOLVED else lag)
     return lags
 
 
