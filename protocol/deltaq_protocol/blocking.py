@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import atexit
 import os
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from types import TracebackType
@@ -26,6 +27,7 @@ from numpy.typing import ArrayLike
 
 from deltaq_protocol import client as asynchronous
 from deltaq_protocol.background import Background
+from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_protocol.leased_robot import LeasedRobot
 from deltaq_protocol.messages import (
     Description,
@@ -244,12 +246,22 @@ def connect(
 ) -> BlockingOpening[BlockingCell]:
     """Connect to a running cell for the length of a block, or from `open` to `close`.
 
-    See `deltaq_protocol.client.connect`.
+    See `deltaq_protocol.client.connect`. A script that lets the error of a cell that does not answer pass ends with
+    that error in one line, unless it has an exception hook of its own.
     """
+    if sys.excepthook is sys.__excepthook__:
+        sys.excepthook = _in_one_line
     opening: BlockingOpening[BlockingCell] = BlockingOpening(
         _connected(address, client, token, identity, close=lambda: opening.close())
     )
     return opening
+
+
+def _in_one_line(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    if issubclass(kind, ServiceUnreachableError):
+        print(f"error: {error}", file=sys.stderr)
+    else:
+        sys.__excepthook__(kind, error, trace)
 
 
 @contextmanager

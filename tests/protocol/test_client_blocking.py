@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import threading
@@ -32,6 +33,15 @@ def cell(server: Server) -> Iterator[BlockingCell]:
 
 def client_threads() -> list[threading.Thread]:
     return [thread for thread in threading.enumerate() if thread.name == "deltaq client"]
+
+
+def test_a_script_whose_cell_is_not_up_ends_with_one_line() -> None:
+    script = f"from deltaq_protocol.blocking import connect\nwith connect({endpoint()!r}): pass\n"
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=100
+    )
+    assert done.returncode == 1
+    assert re.fullmatch(r"error: nobody answers at .*\n", done.stderr)
 
 
 def test_where_nobody_listens_connecting_fails_and_no_thread_stays() -> None:
