@@ -7,9 +7,11 @@ completion are quick.
 from __future__ import annotations
 
 from importlib.metadata import version as version_of
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from pydantic import ValidationError
+from typer.core import TyperGroup
 
 from deltaq_command import (
     advise,
@@ -20,19 +22,36 @@ from deltaq_command import (
     drive,
     fault,
     installation,
-    keys,
     krc,
-    metrics,
     operate,
     recordings,
-    ros2,
-    soak,
     streams,
     study,
     up,
     watch,
 )
-from deltaq_command.verbs import Verbs
+
+# The group of verbs: an option that is refused is told with the value that was given, beside its name and
+# bound.
+
+
+class Verbs(TyperGroup):
+    """typer's group, whose own words name option and bound alone."""
+
+    def invoke(self, ctx: Any) -> Any:  # typer keeps the class of its contexts to itself
+        """Run a verb.
+
+        Raises:
+            typer.BadParameter: an option is not what it may be.
+        """
+        try:
+            return super().invoke(ctx)
+        except typer.BadParameter as error:
+            if isinstance(error.__cause__, ValidationError):
+                first, *_ = error.__cause__.errors()
+                error.message = f"{error.message}, got {first['input']!r}"
+            raise
+
 
 RUN = "Run a cell"
 WATCH = "Look at a running cell"
@@ -70,15 +89,15 @@ def _common(
 app.command(rich_help_panel=RUN)(up.up)
 app.command(rich_help_panel=RUN)(demo.demo)
 app.command(rich_help_panel=RUN)(installation.key)
-app.command(rich_help_panel=RUN)(keys.keys)
+app.command(rich_help_panel=RUN)(installation.keys)
 app.command(rich_help_panel=WATCH)(watch.status)
 app.command(rich_help_panel=WATCH)(watch.top)
 app.command(rich_help_panel=WATCH)(streams.echo)
 app.command(rich_help_panel=WATCH)(streams.hz)
 app.command(rich_help_panel=WATCH)(watch.health)
 app.command(rich_help_panel=WATCH)(recordings.record)
-app.command(rich_help_panel=WATCH)(metrics.metrics)
-app.command(rich_help_panel=WATCH)(ros2.ros2)
+app.command(rich_help_panel=WATCH)(watch.metrics)
+app.command(rich_help_panel=WATCH)(watch.ros2)
 app.command(rich_help_panel=WATCH)(audit.audit)
 app.command(rich_help_panel=COMMAND)(drive.drive)
 app.command(rich_help_panel=COMMAND)(camera.follow)
@@ -93,7 +112,7 @@ app.command("dry-run", rich_help_panel=COMMAND)(operate.dry_run)
 app.add_typer(krc.krc, name="krc", rich_help_panel=REAL)
 app.command(rich_help_panel=STUDY)(study.experiment)
 app.add_typer(fault.fault, name="fault", rich_help_panel=STUDY)
-app.command(rich_help_panel=STUDY)(soak.soak)
+app.command(rich_help_panel=STUDY)(fault.soak)
 app.command(rich_help_panel=STUDY)(study.peg_and_valve)
 app.command(rich_help_panel=STUDY)(bench.bench)
 app.command(rich_help_panel=STUDY)(recordings.replay)

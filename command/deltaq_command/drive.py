@@ -85,7 +85,7 @@ def drive(
 
     from deltaq_cell.load import load_cell
     from deltaq_command.console import print_json
-    from deltaq_command.drive_summary import show
+    from deltaq_command.drive_display import show
     from deltaq_launch.cell_connection import known_robot
 
     if mode not in MODES:
@@ -163,8 +163,7 @@ class _Choice:
         import asyncio
         from contextlib import ExitStack
 
-        from deltaq_command.drive_display import Display
-        from deltaq_command.drive_summary import summary
+        from deltaq_command.drive_display import Display, summary
         from deltaq_controllers.live_teleoperator import teleoperator_for
         from deltaq_controllers.modes.motion import Frame, ModeName
         from deltaq_controllers.signals import SignalLog

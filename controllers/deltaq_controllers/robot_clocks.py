@@ -6,10 +6,119 @@ robots it cancels out: how much older one's state is than the other's is known b
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
+from typing import NamedTuple
 
-from deltaq_controllers.path_clock import PathClock, robot_clock_s
 from deltaq_protocol.messages import RobotState, Status
+
+# How another host's clock stands to this one's, and with that how old a state is where it is read.
+#
+# As NTP does (RFC 5905, 8 and 10): a request and its answer enclose the moment at which the other clock was
+# read. If both took equally long, that moment is the middle. If not, the estimate is wrong by half of the
+# difference, and never by more than half of the round trip. The quickest round trip is believed: what makes
+# one slow seldom makes both ways equally slow. Clocks drift, so what is known of one gets worse with time,
+# and a slower round trip may know better later.
+
+MAX_DRIFT = 1e-4
+"""By how much two clocks go apart at most [s/s]: crystals are within 50 ppm, of either sign."""
+
+
+class _Reading(NamedTuple):
+    asked_s: float
+    offset_s: float
+    error_s: float
+
+    def error_at_s(self, now_s: float) -> float:
+        return self.error_s + MAX_DRIFT * max(now_s - self.asked_s, 0.0)
+
+    def agrees(self, other: _Reading) -> bool:
+        return abs(self.offset_s - other.offset_s) <= self.error_s + other.error_at_s(self.asked_s)
+
+
+class PathClock:
+    """The clock at the other end of one path.
+
+    Attributes:
+        offset_s: what that clock shows less what this one shows [s]; 0 before the first exchange.
+    """
+
+    def __init__(self) -> None:
+        self._believed = _Reading(0.0, 0.0, math.inf)
+        self._doubted: _Reading | None = None
+
+    @property
+    def offset_s(self) -> float:
+        """Time of that clock minus time of this one [s]; 0 before the first exchange."""
+        return self._believed.offset_s
+
+    @property
+    def known(self) -> bool:
+        """Whether there was an exchange."""
+        return math.isfinite(self._believed.error_s)
+
+    def error_s(self, now_s: float) -> float:
+        """By how much the offset may be wrong now at most [s]; infinite before the first exchange."""
+        return self._believed.error_at_s(now_s)
+
+    def take(self, asked_s: float, stamp_s: float, answered_s: float) -> None:
+        """Add an exchange.
+
+        One that cannot be true if what is known is tells of a clock that was set, or of a stamp that was late itself:
+        it is believed when another bears it out.
+
+        Args:
+            asked_s: when the request went out, on this clock [s].
+            stamp_s: what the other clock showed in between [s].
+            answered_s: when the answer had come, on this clock [s].
+
+        Raises:
+            ValueError: the answer was there before the request, so the clock was set.
+        """
+        if answered_s < asked_s:
+            raise ValueError(f"answered_s: {answered_s} is before the request, {asked_s}")
+        error_s = (answered_s - asked_s) / 2.0
+        reading = _Reading(asked_s, stamp_s - (asked_s + answered_s) / 2.0, error_s)
+        doubted, self._doubted = self._doubted, None
+        if not reading.agrees(self._believed):
+            if doubted is None or not reading.agrees(doubted):
+                self._doubted = reading
+                return
+            self._believed = reading
+        elif error_s < self._believed.error_at_s(answered_s):
+            self._believed = reading
+
+    def summary(self, now_s: float) -> dict[str, float | None]:
+        """Offset and bound of its error now [s] as a JSON object; None before the first exchange."""
+        return {
+            "offset_s": self.offset_s if self.known else None,
+            "error_s": self.error_s(now_s) if self.known else None,
+        }
+
+    def age_s(self, stamp_s: float, now_s: float) -> float:
+        """Age [s] of a stamp of the other clock [s] at a time of this clock [s]."""
+        return now_s - (stamp_s - self.offset_s)
+
+
+def robot_clock_s(status: Status, newest: RobotState, cycle_s: float) -> float | None:
+    """Time of the Robot Server's clock when the HLI answered with a status [s].
+
+    The answer names the newest cycle and its age. Its stamp follows from that of a state that had come before, by whole
+    cycles: the KRC counts them evenly.
+
+    Args:
+        status: the answer.
+        newest: a state of the robot that had come when it was asked for.
+        cycle_s: cycle of the robot [s].
+
+    Returns:
+        The time, earlier by what a state takes from the Robot Server to the HLI; None if the HLI knows no state, or
+        only those of a Robot Server that has begun to count again.
+    """
+    robot = status.robots.get(newest.robot)
+    if robot is None or robot.state_age_s is None or robot.cycle < newest.cycle:
+        return None
+    return newest.time_s + (robot.cycle - newest.cycle) * cycle_s + robot.state_age_s
 
 
 class RobotClocks:

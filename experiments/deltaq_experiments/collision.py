@@ -2,28 +2,183 @@
 
 from __future__ import annotations
 
+import math
 import time
+from collections.abc import Mapping
 from functools import partial
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
 
+from deltaq_cell.robot import RobotModel
 from deltaq_controllers.camera.controllers import FocusController
 from deltaq_controllers.camera.scene import Scene
-from deltaq_controllers.leader.attacking import TARGETS, AttackingLeader
-from deltaq_experiments.attack_starts import attack_start
+from deltaq_controllers.held_back import HeldBack
+from deltaq_controllers.interface import Controller, RobotView, View
+from deltaq_controllers.kinematics import Kinematics
+from deltaq_controllers.leader.attacking import TARGETS, AttackingLeader, HomingStick, staging_box
+from deltaq_controllers.leader.scripted import ScriptedLeader
+from deltaq_emulator.servo import Servo
 from deltaq_experiments.options import Options
 from deltaq_experiments.panels import Curve, FigurePanel, Marks
-from deltaq_experiments.pressure import Pressing
 from deltaq_experiments.report import ExperimentOutcome, Report
-from deltaq_experiments.scene import VIEW_DISTANCE_M, camera_controller, load
+from deltaq_experiments.scene import VIEW_DISTANCE_M, added_delay_cycles, camera_controller, load
 from deltaq_experiments.seen import seen
+from deltaq_experiments.starts import LEAST_CLEARANCE_M, MeasuredView, start_with_error
 from deltaq_experiments.summary import summary
-from deltaq_experiments.ungated import record_ungated
-from deltaq_experiments.virtual import RunRecord, record
+from deltaq_experiments.trace import Trace
+from deltaq_experiments.virtual import RunRecord, record, view_of
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
 from deltaq_verification.counts import GateCounts
+from deltaq_verification.oracle import ClearanceOracle
+
+# How hard an attack presses: in which share of the time the attacker could move as it wanted.
+
+HELD_BELOW = 0.1
+"""An attacker whose tool goes slower than this part of what it asks for is held, by the gate or by its own limits."""
+
+
+class Pressing:
+    """An attacker that is looked at while it attacks.
+
+    Args:
+        leader: the attacker.
+        model: of its robot.
+        cycle_s: its cycle [s].
+    """
+
+    def __init__(self, leader: AttackingLeader, model: RobotModel, cycle_s: float) -> None:
+        self._leader, self._cycle_s = leader, cycle_s
+        self._tool = Kinematics(model, "tool")
+        self._last: Array | None = None
+        self._attacked = self._moved = 0
+
+    def increment(self, view: View) -> Array:
+        """The attacker's increment for this cycle, (n,) [rad or m]."""
+        self._tool.update(view.own.q_cmd)
+        tip, asked_m_s = self._tool.position, float(np.linalg.norm(self._leader.asked_m_s))
+        if (
+            self._last is not None
+            and self._leader.attacking
+            and asked_m_s > HELD_BELOW * self._leader.speed_m_s
+        ):
+            self._attacked += 1
+            self._moved += bool(np.linalg.norm(tip - self._last) >= HELD_BELOW * asked_m_s * self._cycle_s)
+        self._last = tip
+        return self._leader.increment(view)
+
+    @property
+    def share(self) -> float | None:
+        """Part of the attacking cycles in which it moved; None if it never attacked."""
+        return self._moved / self._attacked if self._attacked else None
+
+
+# Where an attack begins: both robots somewhere else with every seed.
+
+LOOKS_PAST_RAD = math.radians(20.0)
+"""By how much the camera misses its focus: it looks there before the first attack has come near."""
+
+_ON_THE_WAY_S = 3.0
+_SPEED_M_S = 0.5
+
+
+def attack_start(scene: Scene, camera: MeasuredView, seed: int) -> dict[str, Array]:
+    """Configurations (n,) of both robots [rad or m].
+
+    The leader's tool is at a point of the box that it withdraws to, the follower's camera looks nearly at its focus.
+
+    Args:
+        scene: who watches whom.
+        camera: measures the view.
+        seed: of both.
+
+    Raises:
+        DeltaqError: no such configuration of the follower is found.
+    """
+    oracle, box = ClearanceOracle(scene.cell), staging_box(scene.leader)
+    at_home = {name: one.home for name, one in scene.cell.robots.items()}
+    for attempt in count():
+        follower_seed = seed if attempt == 0 else int(np.random.default_rng((seed, attempt)).integers(2**31))
+        q = start_with_error(scene, camera, LOOKS_PAST_RAD, follower_seed)
+        point = np.random.default_rng((seed, 1 + attempt)).uniform(box.low, box.high)
+        both = {scene.robot_name: q, scene.leader_name: _with_tool_at(scene, point)}
+        if oracle.between_robots_and_structure(at_home | both).distance_m > 0.5 * LEAST_CLEARANCE_M:
+            return both
+    raise AssertionError  # count() does not end
+
+
+def _with_tool_at(scene: Scene, point: Array) -> Array:
+    """(n,) the leader as it arrives from home with its tool at a point (3,) [rad or m]."""
+    model, cycle_s = scene.leader, scene.cycle_s
+    stick = HomingStick(_SPEED_M_S, cycle_s)
+    stick.point = point
+    leader, q = ScriptedLeader(model, cycle_s, stick=stick), np.array(model.home)
+    for cycle in range(round(_ON_THE_WAY_S / cycle_s)):
+        q = q + leader.increment(View(RobotView(cycle, cycle * cycle_s, q, q)))
+    return q
+
+
+# A camera controller and a leader that no gate stops: what the controllers ask for is what the drives get.
+#
+# Only the limits that the controllers themselves keep are left. The drives lag as those of the emulated
+# controllers.
+
+
+class _Arm:
+    """A robot that goes where it is sent."""
+
+    def __init__(self, robot: RobotModel, cycle_s: float, q: Array) -> None:
+        self._servo = Servo(q, robot.description.servo_lag, cycle_s)
+        self._setpoint, self._cycle_s = q.copy(), cycle_s
+        self.q: list[Array] = []
+        self.setpoints: list[Array] = []
+
+    def seen(self, cycle: int) -> RobotView:
+        return RobotView(cycle, cycle * self._cycle_s, self._servo.q.copy(), self._setpoint.copy())
+
+    def go(self, dq: Array) -> None:
+        self._setpoint = self._setpoint + dq
+        self._servo.advance(self._setpoint)
+        self.q.append(self._servo.q.copy())
+        self.setpoints.append(self._setpoint)
+
+
+def record_ungated(
+    options: Options, scene: Scene, camera: Controller, leader: Controller, start: Mapping[str, Array]
+) -> RunRecord:
+    """Run them without services.
+
+    Args:
+        options: with `length_s` known.
+        scene: who watches whom; other robots of the cell stand still.
+        camera: moves the robot with the camera; it sees the others as old as the latency wants it.
+        leader: moves the leader; it sees the others' newest.
+        start: (n,) configuration of each robot that does not start at home [rad or m].
+
+    Raises:
+        DeltaqError: if the loop alone is slower than the latency asked for.
+    """
+    cycle_s = scene.cycle_s
+    late_camera = HeldBack(camera, added_delay_cycles(scene, options.latency_s))
+    robots = scene.cell.robots
+    arms = {name: _Arm(robot, cycle_s, start.get(name, robot.home)) for name, robot in robots.items()}
+    cycles = max(1, round(options.length_s / cycle_s))
+    for cycle in range(cycles):
+        views = {name: arm.seen(cycle) for name, arm in arms.items()}
+        asked = {name: np.zeros(robot.n) for name, robot in robots.items()}
+        asked[scene.leader_name] = leader.increment(view_of(views, scene.leader_name))
+        asked[scene.robot_name] = late_camera.increment(view_of(views, scene.robot_name))
+        for name, arm in arms.items():
+            arm.go(asked[name])
+    trace = Trace(
+        np.arange(cycles, dtype=np.float64) * cycle_s,
+        {name: np.array(arm.q) for name, arm in arms.items()},
+        {name: np.array(arm.setpoints) for name, arm in arms.items()},
+    )
+    return RunRecord(trace, GateCounts(), {})
+
 
 DURATION_S = 40.0
 

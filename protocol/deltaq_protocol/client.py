@@ -17,12 +17,14 @@ from __future__ import annotations
 
 import asyncio
 import atexit
+import contextlib
 import os
 import time
 from collections import Counter
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 
+import msgpack
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -30,11 +32,11 @@ from deltaq_protocol import topics
 from deltaq_protocol.asking import Asking
 from deltaq_protocol.certified.encryption import client_tls
 from deltaq_protocol.codec import from_map
-from deltaq_protocol.describing import described
-from deltaq_protocol.errors import ServiceUnreachableError
+from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.held_leases import HeldLeases
 from deltaq_protocol.leased_robot import LeasedRobot
 from deltaq_protocol.messages import (
+    PROTOCOL_VERSION,
     ContactRequest,
     DescribeRequest,
     Description,
@@ -54,10 +56,54 @@ from deltaq_protocol.messages import (
     ViewTarget,
 )
 from deltaq_protocol.opening import Opening
+from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.role_prover import RoleProver, role_prover
 from deltaq_protocol.session import open_session
 from deltaq_protocol.subscriptions import StateHolder, Subscriptions
-from deltaq_protocol.wire import Wire
+from deltaq_protocol.wire import LOOK_AGAIN_S, Wire
+
+# The first question of every client: which cell is served here, and in which version?
+
+_CONNECT_DEADLINE_S = 3.0
+
+
+async def described(wire: Wire, address: str) -> Description:
+    """Ask for the description.
+
+    Args:
+        wire: a connection that has just been opened.
+        address: of the server, for messages.
+
+    Raises:
+        ServiceUnreachableError: nobody there serves a cell.
+        RefusedError: `protocol_version`, if the server speaks another version.
+    """
+    loop = asyncio.get_running_loop()
+    give_up_s = loop.time() + _CONNECT_DEADLINE_S
+    while (left_s := give_up_s - loop.time()) > 0.0:
+        # it changes nothing, and so may be asked again: the link may not have told yet who is at its other end
+        with contextlib.suppress(ServiceUnreachableError):
+            return _of_our_version(
+                await wire.ask(topics.DESCRIPTION, "*", DescribeRequest(), deadline_s=left_s)
+            )
+        await asyncio.sleep(LOOK_AGAIN_S)
+    raise ServiceUnreachableError(
+        f"{address} answers, but serves no cell; is it the address of an HLI (`hli` in the cell's YAML)?"
+    )
+
+
+def _of_our_version(payload: bytes) -> Description:
+    # the version first: a description of another version may have other fields
+    data = msgpack.unpackb(payload)
+    theirs = data.get("protocol") if isinstance(data, dict) else None
+    if theirs != PROTOCOL_VERSION:
+        raise RefusedError(
+            ReasonCode.PROTOCOL_VERSION,
+            f"the server speaks protocol {theirs}, this client {PROTOCOL_VERSION}",
+            "install the deltaq version that the server runs",
+        )
+    return from_map(Description, data)
+
 
 DEFAULT_ADDRESS = "tcp/127.0.0.1:7447"
 _ROUND_TRIPS = 5

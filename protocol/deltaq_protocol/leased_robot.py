@@ -7,16 +7,18 @@ import contextlib
 import itertools
 import queue
 import time
+from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 
 import zenoh
 
 from deltaq_protocol import topics
-from deltaq_protocol.codec import unpack
+from deltaq_protocol.codec import pack, unpack
 from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
 from deltaq_protocol.held_lease import HeldLease
-from deltaq_protocol.increments_out import IncrementsOut
 from deltaq_protocol.messages import (
+    EarlierIncrement,
+    Increment,
     IoReply,
     IoRequest,
     LeaseReply,
@@ -29,9 +31,119 @@ from deltaq_protocol.messages import (
     ViewTarget,
 )
 from deltaq_protocol.newest import Newest
+from deltaq_protocol.proof import Prover
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_protocol.sent_verdicts import SentVerdicts
+from deltaq_protocol.stamps import StampStation, stamps_if_asked
 from deltaq_protocol.wire import Wire
+
+# The verdicts on increments that a client sent without waiting, until it reads them.
+
+_MOST = 1024
+"""Largest number of sent increments, and of received verdicts, that are kept unread."""
+
+
+class SentVerdicts:
+    """Keeps the newest verdicts on increments that were sent. Each operation is atomic with respect to other threads.
+
+    Attributes:
+        queue: the verdicts that were not read yet.
+    """
+
+    def __init__(self) -> None:
+        self._sent: deque[int] = deque(maxlen=_MOST)
+        self.queue: asyncio.Queue[Verdict] = asyncio.Queue(_MOST)
+
+    def expect(self, seq: int) -> None:
+        """An increment is about to be sent."""
+        self._sent.append(seq)
+
+    def take(self, verdict: Verdict) -> None:
+        """A verdict has come, on what was sent or on something else."""
+        if verdict.seq not in self._sent:
+            return
+        if self.queue.full():
+            with contextlib.suppress(asyncio.QueueEmpty):  # a reader in another thread was quicker
+                self.queue.get_nowait()
+        self.queue.put_nowait(verdict)
+
+    def read(self) -> list[Verdict]:
+        """All unread items."""
+        verdicts = []
+        with contextlib.suppress(asyncio.QueueEmpty):
+            while True:
+                verdicts.append(self.queue.get_nowait())
+        return verdicts
+
+
+# How the increments of a leased robot leave this process: each with its proof, and with those that it
+# repeats.
+
+REPEATED = 2
+"""Increments that each one repeats where the lease has a playout buffer: of links that lose a packet in a hundred,
+three in a row are lost once in three hours."""
+
+
+class IncrementsOut:
+    """Sends a robot's increments; any thread may.
+
+    Args:
+        wire: to the server.
+        cell: name of the cell.
+        robot: name of the robot.
+        prover: shows that they are the holder's of the lease.
+        playout: they wait in the HLI, so each repeats those before it.
+    """
+
+    def __init__(self, wire: Wire, cell: str, robot: str, prover: Prover, playout: bool) -> None:
+        self._robot = robot
+        self._prover = prover
+        self._key = topics.INCREMENT.key(cell, robot=robot)
+        self._publisher = wire.publisher(topics.INCREMENT, cell, robot)
+        self._stamps = stamps_if_asked(f"client-{robot}", [robot])
+        self._earlier: deque[EarlierIncrement] = deque(maxlen=REPEATED if playout else 0)
+
+    def state_came(self, cycle: int) -> None:
+        """Stamp that the controller has taken the state of a cycle."""
+        if self._stamps is not None:
+            self._stamps.add(StampStation.STATE_AT_CLIENT, self._robot, cycle)
+
+    def send(
+        self, dq: Iterable[float], seq: int, cycle: int, sight: Sight | None, target: ViewTarget | None
+    ) -> None:
+        """Send the increment `dq` (n,) [rad or m] in answer to the state of a cycle.
+
+        Raises:
+            ServiceUnreachableError: the connection was closed.
+        """
+        # not validated here: only the server decides what is refused
+        increment = Increment.model_construct(
+            robot=self._robot,
+            seq=seq,
+            cycle=cycle,
+            dq=tuple(float(element) for element in dq),
+            sight=sight,
+            target=target,
+            earlier=tuple(self._earlier),
+        )
+        self._earlier.append(EarlierIncrement.model_construct(seq=seq, cycle=cycle, dq=increment.dq))
+        if self._stamps is not None:
+            self._stamps.add(StampStation.INCREMENT_OUT, self._robot, cycle, seq)
+        payload = pack(increment)
+        try:
+            self._publisher.put(payload, attachment=self._prover.prove(self._key, payload))
+        except zenoh.ZError as error:
+            raise ServiceUnreachableError(
+                f"{self._robot} cannot be moved: the connection was closed; connect again"
+            ) from error
+
+    def end(self) -> None:
+        """Send nothing more.
+
+        Raises:
+            ZError: the connection was closed already.
+        """
+        self._publisher.undeclare()
+
 
 VERDICT_DEADLINE_S = 0.25
 """Twice as long as an increment may be in flight: a verdict that has not come by then was lost."""

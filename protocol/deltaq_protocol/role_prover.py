@@ -6,12 +6,32 @@ import os
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from deltaq_protocol.certified.names import CLIENT_IDENTITY
-from deltaq_protocol.certified.prover import identity_prover
+from deltaq_protocol.certified.names import CLIENT_IDENTITY, IdentityError
 from deltaq_protocol.given_token import CLIENT_TOKEN, given_token
 from deltaq_protocol.proof import Prover
+
+if TYPE_CHECKING:
+    from deltaq_protocol.certified.signed import IdentityProver
+
+
+# A client's identity, for clients that do not always have the package that reads certificates.
+
+
+def identity_prover(folder: Path) -> IdentityProver:
+    """The signer of a client's requests.
+
+    Raises:
+        IdentityError: there is no identity, it is not valid or a service's, or `cryptography` is not installed.
+    """
+    try:
+        from deltaq_protocol.certified.signed import IdentityProver
+    except ModuleNotFoundError as error:
+        raise IdentityError(
+            f"{folder} cannot be read: {error.name} is not installed; `pip install 'deltaq[identity]'`"
+        ) from error
+    return IdentityProver(folder)
 
 
 class RoleProver(Protocol):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from deltaq_protocol.guarded import Greeting
-from deltaq_services.pace import Pace
+from deltaq_services.rate_limit import Pace
 
 _PERIOD_S = 0.01
 """Whoever sends again what was recorded shall not make a service speak without end."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 
 class RateLimit:
     """A bucket that fills with time and from which each message takes one.
@@ -41,4 +43,62 @@ class RateLimit:
         if self._left < 1.0:
             return False
         self._left -= 1.0
+        return True
+
+
+# Guessing at tokens, kept slow. Plain decisions; the shell passes the time in.
+
+MOST_TRIES_S = 3.0
+"""Wrong tokens a second of one peer; what comes beyond is not compared."""
+_MOST_PEERS = 256
+
+
+class Tries:
+    """Wrong tokens, by the address that they came from: only so many of each are compared in a second."""
+
+    def __init__(self) -> None:
+        self._rates: dict[str, RateLimit] = {}
+
+    def may_try(self, address: str, time_s: float) -> bool:
+        """Whether a token from there is compared at all."""
+        return address not in self._rates or self._rates[address].has_left(time_s)
+
+    def failed(self, address: str, time_s: float) -> None:
+        """A wrong token came from there."""
+        while len(self._rates) >= _MOST_PEERS and address not in self._rates:
+            del self._rates[next(iter(self._rates))]
+        self._rates.setdefault(address, RateLimit(MOST_TRIES_S)).take(time_s)
+
+
+# Keeping the pace that the table of topics sets, for whoever publishes by the clock.
+
+_EARLY = 0.25
+"""Share of a period that a message may come early, so that two clocks of one pace do not miss every other beat."""
+
+
+class Pace:
+    """Says when the next message is due.
+
+    Args:
+        period_s: from one message to the next [s].
+    """
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
+        self._next_s = -math.inf
+
+    def snapshot(self) -> float:
+        """When the next message is due [s]."""
+        return self._next_s
+
+    def restore(self, next_s: float) -> None:
+        """Go on from where another was."""
+        self._next_s = next_s
+
+    def due(self, time_s: float) -> bool:
+        """Whether a message is due at `time_s`; if so, it counts as sent."""
+        if time_s < self._next_s - _EARLY * self._period_s:
+            return False
+        # after a pause there is nothing to catch up with
+        self._next_s = max(self._next_s, time_s - _EARLY * self._period_s) + self._period_s
         return True

@@ -11,7 +11,7 @@ import numpy as np
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.description import Camera
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.camera.controller import CameraController
+from deltaq_controllers.camera.controllers import CameraController
 from deltaq_controllers.camera.follower import CORRECTED, CameraFollower, FollowerGains, Variants
 from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.leader.scripted import ScriptedLeader

@@ -28,8 +28,8 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_command.drive_display import Display
 from deltaq_controllers.advisor.session import AdvisorSession
 from deltaq_controllers.camera.controllers import NAMES, camera_controller_named
-from deltaq_controllers.camera.move_to_start import MoveToStart
 from deltaq_controllers.camera.scene import Scene
+from deltaq_controllers.camera_follower import MoveToStart
 from deltaq_controllers.criteria import BY_NAME
 from deltaq_controllers.interface import Controller, View
 from deltaq_controllers.leader.attacking import AttackingLeader

@@ -13,12 +13,11 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.advisor.advisor import NOT_LOOKED_FOR, Option, Progress, advise
 from deltaq_controllers.advisor.descent import descend, reduced_gradient
 from deltaq_controllers.advisor.exact import ExactClearance
-from deltaq_controllers.advisor.methods import METHODS
+from deltaq_controllers.advisor.methods import METHODS, feasible
 from deltaq_controllers.advisor.motion_validator import FINE, LEAP, LIMIT_SHARE, MotionValidator
 from deltaq_controllers.advisor.path_planner import NoPathError, PathPlanner
 from deltaq_controllers.advisor.problem import AdvisorError, AdvisorProblem
 from deltaq_controllers.advisor.search import DISTINCT, Pool, search
-from deltaq_controllers.advisor.seeding import feasible
 from deltaq_controllers.advisor.space import HandsKept, HandsMoved
 from deltaq_controllers.advisor.trees import Tree
 from deltaq_controllers.criteria.normalised import CriterionError

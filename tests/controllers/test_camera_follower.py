@@ -6,7 +6,7 @@ from closed_loop import CYCLE_S, Servo, approach, lab, limit_violations, with_ca
 
 from deltaq_cell.description import Camera
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.camera.controller import CameraController
+from deltaq_controllers.camera.controllers import CameraController
 from deltaq_controllers.camera.error import view_angle
 from deltaq_controllers.camera.follower import AS_PRINTED, CORRECTED, CameraFollower, FollowerGains, Variants
 from deltaq_controllers.interface import ControllerError, RobotView, View

@@ -10,7 +10,7 @@ from closed_loop import CYCLE_S, lab, limit_violations
 
 from deltaq_controllers.camera.controllers import Seeing, camera_controller_named
 from deltaq_controllers.camera.scene import Scene
-from deltaq_controllers.camera.sightings import Sightings
+from deltaq_controllers.camera_follower import Sightings
 from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_protocol.arrays import Array

@@ -7,8 +7,8 @@ import pytest
 from closed_loop import CYCLE_S, lab, limit_violations
 
 from deltaq_controllers.camera.controllers import camera_controller_named
-from deltaq_controllers.camera.move_to_start import MoveToStart
 from deltaq_controllers.camera.scene import Scene
+from deltaq_controllers.camera_follower import MoveToStart
 from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.limits import IncrementLimits
 

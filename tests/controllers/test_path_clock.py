@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from told import told_state, told_status
 
-from deltaq_controllers.camera.sightings import MOST_CHANGES, Sightings
-from deltaq_controllers.path_clock import MAX_DRIFT, PathClock, robot_clock_s
+from deltaq_controllers.camera_follower import MOST_CHANGES, Sightings
+from deltaq_controllers.robot_clocks import MAX_DRIFT, PathClock, robot_clock_s
 from deltaq_protocol.messages import Sight
 
 WAY_S = st.floats(0.0, 0.5)

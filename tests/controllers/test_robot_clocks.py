@@ -10,8 +10,7 @@ from closed_loop import CYCLE_S, lab
 from told import told_state, told_status
 
 from deltaq_controllers.interface import RobotView
-from deltaq_controllers.path_clock import MAX_DRIFT
-from deltaq_controllers.robot_clocks import RobotClocks
+from deltaq_controllers.robot_clocks import MAX_DRIFT, RobotClocks
 from deltaq_controllers.surroundings.setpoints import Foreseen
 from deltaq_protocol.messages import Sight
 

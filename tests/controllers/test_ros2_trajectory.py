@@ -11,9 +11,9 @@ from small_cell import small_cell
 
 from deltaq_cell.summary import robot_summary
 from deltaq_controllers.limits import IncrementLimits
+from deltaq_controllers.ros2.follower import SHARE, RateProfile
 from deltaq_controllers.ros2.messages import Header, RosTime
 from deltaq_controllers.ros2.path import Path
-from deltaq_controllers.ros2.profile import SHARE, RateProfile
 from deltaq_controllers.ros2.refusal import RefusedMessageError
 from deltaq_controllers.ros2.trajectory import path_from, read_trajectory
 

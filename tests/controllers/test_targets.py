@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deltaq_controllers.camera.targets import HIDDEN_S, LONGEST_S, VISIBLE_S, TargetChoice, targets_of
+from deltaq_controllers.camera.in_use import HIDDEN_S, LONGEST_S, VISIBLE_S, TargetChoice, targets_of
 from deltaq_protocol.messages import ViewTarget, ViewWish
 
 STEP_S = 0.125

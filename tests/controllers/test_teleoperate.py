@@ -10,7 +10,7 @@ import pytest
 from driving import CYCLE_S
 from first_cycles import Leased, Operator, QuietCell, Waits
 
-from deltaq_command.drive_summary import summary
+from deltaq_command.drive_display import summary
 from deltaq_controllers.modes.motion import OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.interface import OperatorInput

@@ -7,8 +7,7 @@ import pytest
 from krc_bench import Bench
 
 from deltaq_deploy.rsi.echo import ZeroEcho
-from deltaq_deploy.rsi.statistics import WireStatistics
-from deltaq_deploy.rsi.telegram import look_at
+from deltaq_deploy.rsi.statistics import WireStatistics, look_at
 
 KRC = "192.168.10.20:1025"
 

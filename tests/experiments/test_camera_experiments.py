@@ -17,11 +17,10 @@ from deltaq_controllers.camera.visibility import Visibility
 from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.leader.attacking import AttackingLeader
 from deltaq_experiments import approach, collision, tracking, zoom
-from deltaq_experiments.attack_starts import attack_start
+from deltaq_experiments.collision import Pressing, attack_start
 from deltaq_experiments.figures import draw
 from deltaq_experiments.options import Options
 from deltaq_experiments.panels import Curve, FigurePanel, Marks
-from deltaq_experiments.pressure import Pressing
 from deltaq_experiments.scene import camera_controller, load
 from deltaq_experiments.seen import SeenRun
 from deltaq_experiments.trace import Trace, reached_speed, time_to_stay_below

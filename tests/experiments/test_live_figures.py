@@ -9,12 +9,18 @@ import numpy as np
 import pytest
 from stamped import MS, ns, stamp
 
-from deltaq_experiments.bench.braked import BrakeCause, causes
 from deltaq_experiments.bench.hop_reference import HopTimes
 from deltaq_experiments.bench.journeys import OF_ADMISSION, OF_DECISION, RobotStamps, by_robot, journeys
-from deltaq_experiments.bench.live_figures import LiveRow, bounded_rows, robot_figures
+from deltaq_experiments.bench.live_figures import (
+    BrakeCause,
+    LiveRow,
+    Quantiles,
+    bounded_rows,
+    causes,
+    ratio,
+    robot_figures,
+)
 from deltaq_experiments.bench.processor_time import machine_time
-from deltaq_experiments.bench.quantiles import Quantiles, ratio
 from deltaq_protocol.stamps import CycleOutcome, StampStation, WrittenStamps
 
 BRAKED = CycleOutcome.BRAKED

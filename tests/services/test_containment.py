@@ -28,7 +28,7 @@ from deltaq_services.sim.core import Sim
 GATE = ("deltaq_services.sim", "deltaq_cell", "deltaq_protocol.setpoint_motion", "deltaq_protocol.receipts")
 
 SERVER = ("deltaq_services.robot_server", "deltaq_services.phases", "deltaq_protocol.setpoint_motion")
-HLI = ("deltaq_services.hli", "deltaq_services.rate_limit", "deltaq_services.pace")
+HLI = ("deltaq_services.hli", "deltaq_services.rate_limit")
 FIRST = 3
 """The first call that a message causes: those before it are `take` itself, and what it is to be put back to."""
 

@@ -18,7 +18,7 @@ from deltaq_deploy.grafana import FILE, dashboard, dashboard_text, queries
 from deltaq_protocol import topics
 from deltaq_protocol.client import connect
 from deltaq_services.hli.shell import Hli
-from deltaq_services.metrics.delays import Delays
+from deltaq_services.metrics.families import Delays
 from deltaq_services.metrics.shell import Exporter
 
 Samples = dict[tuple[str, tuple[tuple[str, str], ...]], float]

@@ -11,7 +11,7 @@ from deltaq_protocol.client_rights import ClientRole
 from deltaq_protocol.given_token import GivenTokenError
 from deltaq_services.hli.client_roles import LEAST_CHARACTERS, ClientRoles, client_roles
 from deltaq_services.hli.line_encryption import LineEncryptionError, line_encryption
-from deltaq_services.tries import MOST_TRIES_S, Tries
+from deltaq_services.rate_limit import MOST_TRIES_S, Tries
 
 OPERATOR, CONTROLLER = "o" * LEAST_CHARACTERS, "c" * LEAST_CHARACTERS
 OFF_LOOPBACK = [{"hli": "tcp/0.0.0.0:7447"}, {"tcp_address": "0.0.0.0"}, {"tcp_address": "robots.example"}]

@@ -141,7 +141,7 @@ def test_a_reply_that_the_guard_refuses_repeats_the_last_correction_and_holds_th
         ("deltaq_services.robot_server.plausibility", False),  # a telegram is read
         ("deltaq_services.robot_server.admissions_due", True),  # a cycle is decided
         ("deltaq_services.robot_server.reply_guard", False),  # a reply is made
-        ("deltaq_services.pace", True),  # the state is published
+        ("deltaq_services.rate_limit", True),  # the state is published
     ],
 )
 def test_an_error_anywhere_in_the_loop_holds_the_robot_and_the_next_telegram_is_answered(

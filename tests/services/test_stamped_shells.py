@@ -11,7 +11,7 @@ from deltaq_protocol.guarded import Request, ServerState
 from deltaq_protocol.messages import Message, Phase
 from deltaq_protocol.stamps import CycleOutcome, Stamps, StampStation, read_stamps
 from deltaq_services.outputs import ToTopic
-from deltaq_services.robot_server.cycle_stamps import outcome_of
+from deltaq_services.robot_server.guarded_link import outcome_of
 from deltaq_services.sim.gate_stamps import GateStamps
 from deltaq_verification.virtual_cell.cell import VirtualCell
 from deltaq_verification.virtual_cell.loaded_cell import LoadedCell

@@ -34,7 +34,7 @@ from deltaq_protocol.session import open_session
 from deltaq_protocol.topic import Hertz, Party, Priority, Realm
 from deltaq_services.hli.core import HliCore
 from deltaq_services.outputs import Sender, published
-from deltaq_services.pace import Pace
+from deltaq_services.rate_limit import Pace
 from deltaq_services.robot_server.guarded_link import GuardedLink
 
 NOW_S = 50.0

@@ -6,8 +6,13 @@ from hypothesis import strategies as st
 
 from deltaq_emulator.faults import LinkFaults
 from deltaq_protocol.endpoint import Endpoint, InvalidEndpointError
-from deltaq_verification.impairment.lines import FaultyLines
-from deltaq_verification.impairment.relay import InvalidFaultError, TrafficUnit, relay, wire_faults
+from deltaq_verification.impairment.relay import (
+    FaultyLines,
+    InvalidFaultError,
+    TrafficUnit,
+    relay,
+    wire_faults,
+)
 from deltaq_verification.impairment.stream import MAX_WAITING_BYTES, FaultyStream, StreamFaults
 
 FAULTS = st.builds(

@@ -7,8 +7,7 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_emulator.recorder import CsvRecorder
 from deltaq_emulator.sample import Sample
 from deltaq_emulator.states import KrcState
-from deltaq_verification.oracle import ClearanceOracle, limit_violations, record_cycle_s
-from deltaq_verification.pair_distances import PairDistances
+from deltaq_verification.oracle import ClearanceOracle, PairDistances, limit_violations, record_cycle_s
 
 CELL = CellModel.load("lab")
 FR = CELL.robots["fr"]

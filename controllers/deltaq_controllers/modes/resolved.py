@@ -6,14 +6,15 @@ for all: how fast what is commanded is taken up, where it has to end, and what b
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from typing import NamedTuple
 
 import numpy as np
 
+from deltaq_cell.compiled import compiled
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.modes import programme
-from deltaq_controllers.modes.binding import binding
 from deltaq_controllers.modes.brake_margin import kept_together_while_braked
 from deltaq_controllers.modes.conditioning import (
     GLANCE,
@@ -23,18 +24,136 @@ from deltaq_controllers.modes.conditioning import (
     least_motions,
     ramped,
 )
+from deltaq_controllers.modes.hand_kinematics import displacement, turned
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.held_object import HeldObject
-from deltaq_controllers.modes.increment_bounds import Box, admits, can_rest, increment_box
+from deltaq_controllers.modes.increment_bounds import POSITION, SPEED, Box, admits, can_rest, increment_box
 from deltaq_controllers.modes.interface import Advance, Instant, TeleoperationMode
-from deltaq_controllers.modes.limitation import Conditioning, Limitation, of_conditioning
-from deltaq_controllers.modes.line import Line
+from deltaq_controllers.modes.limitation import (
+    Conditioning,
+    Limitation,
+    of_conditioning,
+    of_joint,
+    of_pair,
+    of_speed,
+)
 from deltaq_controllers.modes.motion import Motion
+from deltaq_controllers.modes.programme import Solution
 from deltaq_controllers.surroundings.barriers import Barriers
 from deltaq_controllers.surroundings.neighbours import NearPairs
 from deltaq_controllers.surroundings.surroundings import Near
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles
+
+# Which constraint of a solved programme keeps the pace below what is commanded.
+
+_PRESSES = 1e-9
+"""Force of a constraint below which it does not bind."""
+
+
+def binding(robot: RobotModel, instant: Instant, found: Solution, box: Box, near: Near) -> Limitation | None:
+    """The constraint that presses hardest, in words; None for acceleration, which passes.
+
+    Args:
+        robot: the robot.
+        instant: what the programme was made for.
+        found: its solution.
+        box: the bounds of the joints in it.
+        near: the barriers in it.
+    """
+    if len(found.barrier_forces) and found.barrier_forces.max() > max(
+        _PRESSES, np.abs(found.joint_forces).max()
+    ):
+        assert instant.surroundings is not None  # they have barriers
+        place = int(near.barriers.places[np.argmax(found.barrier_forces)])
+        pair, kept_m = instant.surroundings.kept(int(near.pairs.pairs[place]))
+        return of_pair(pair, float(near.pairs.distance[place]), kept_m)
+    names = robot.joint_names
+    for joint in np.argsort(-np.abs(found.joint_forces)).tolist():
+        force = found.joint_forces[joint]
+        if abs(force) < _PRESSES:
+            return None
+        why = (box.why_fastest if force > 0.0 else box.why_slowest)[joint]
+        if why == SPEED:
+            return of_speed(names[joint])
+        if why == POSITION:
+            return of_joint(names[joint], float(instant.q_cmd[joint]), bool(robot.revolute[joint]))
+    return None
+
+
+# Where the hands are to be: the line that an operator has them follow, and the way back to it.
+
+TAKEN_BACK_M_S, TAKEN_BACK_RAD_S = 2e-3, 2e-3
+"""Greatest rate at which a hand comes back to its line [m/s, rad/s]."""
+
+
+class Line:
+    """The poses that the hands are to have, cycle after cycle.
+
+    Attributes:
+        is_set: whether there is one.
+    """
+
+    def __init__(self) -> None:
+        self._rotations: Array | None = None
+        self._positions: Array = np.zeros((0, 3))
+
+    @property
+    def is_set(self) -> bool:
+        """Whether there is a line."""
+        return self._rotations is not None
+
+    def begin(self, hands: Hands, held: HeldObject | None = None) -> None:
+        """The line begins where the hands are, or where they keep the object that they hold."""
+        self._rotations, self._positions = hands.rotations.copy(), hands.positions.copy()
+        self._keep(held)
+
+    def _keep(self, held: HeldObject | None) -> None:
+        if held is not None and self._rotations is not None:
+            self._rotations, self._positions = held.placed(self._rotations, self._positions)
+
+    def forget(self) -> None:
+        """There is no line any more."""
+        self._rotations = None
+
+    def back(self, hands: Hands, time_s: float) -> Array:
+        """(h, 6) displacement that takes the hands back to it, clipped to what is corrected within a time [m, rad]."""
+        assert self._rotations is not None  # begun
+        most_m, most_rad = time_s * TAKEN_BACK_M_S, time_s * TAKEN_BACK_RAD_S
+        return _back(hands.rotations, hands.positions, self._rotations, self._positions, most_m, most_rad)
+
+    def go(self, way: Array, held: HeldObject | None = None) -> None:
+        """The hands are to go on by displacements (h, 6) [m, rad], and to keep the object that they hold."""
+        assert self._rotations is not None  # begun
+        self._rotations, self._positions = _gone(self._rotations, self._positions, way)
+        self._keep(held)
+
+
+@compiled
+def _back(
+    rotations: Array,
+    positions: Array,
+    to_rotations: Array,
+    to_positions: Array,
+    most_m: float,
+    most_rad: float,
+) -> Array:
+    """`Line.back`."""
+    error = displacement(rotations, positions, to_rotations, to_positions)
+    for hand in range(len(error)):
+        for first, most in ((0, most_m), (3, most_rad)):
+            x, y, z = error[hand, first], error[hand, first + 1], error[hand, first + 2]
+            share = min(1.0, most / max(math.sqrt(x * x + y * y + z * z), 1e-15))
+            for axis in range(first, first + 3):
+                error[hand, axis] *= share
+    return error
+
+
+@compiled
+def _gone(rotations: Array, positions: Array, way: Array) -> tuple[Array, Array]:
+    """Poses after a way (h, 6)."""
+    return turned(rotations, way[:, 3:]), positions + way[:, :3]
+
 
 RAMP_SHARE = 0.5
 """Fraction of each joint's acceleration that an operator's own changes of speed use."""

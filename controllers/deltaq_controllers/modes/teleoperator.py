@@ -8,24 +8,140 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from deltaq_cell.compiled import compiled
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import ControllerError, LastIncrement, View
 from deltaq_controllers.limits import IncrementLimits
-from deltaq_controllers.modes.commanded import commanded
 from deltaq_controllers.modes.coupled import CoupledMode
-from deltaq_controllers.modes.decoupled import DecoupledMode
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.held_object import HeldObject
 from deltaq_controllers.modes.interface import Instant, TeleoperationMode
-from deltaq_controllers.modes.joint import JointMode
 from deltaq_controllers.modes.limitation import Limitation, from_verdict, of_object
 from deltaq_controllers.modes.motion import HAND_AXES, Frame, Grip, ModeName, Motion, OperatorCommand
 from deltaq_controllers.modes.reflection import Reflection, share_of
+from deltaq_controllers.modes.resolved import DrivenTasks, ResolvedMode
 from deltaq_controllers.modes.self_motion import SelfMotionMode
+from deltaq_controllers.modes.stepped import SteppedMode
 from deltaq_controllers.surroundings.surroundings import RobotSurroundings
-from deltaq_protocol.arrays import Array
+from deltaq_protocol.arrays import Array, Indices
 from deltaq_protocol.messages import Verdict
+
+# What an operator commands, as a motion of the joints and hands that a mode drives.
+
+
+def commanded(
+    command: OperatorCommand,
+    robot: RobotModel,
+    hands: Hands,
+    mode: TeleoperationMode,
+    frame: Frame,
+    held: HeldObject | None,
+    q: Array,
+) -> Motion:
+    """The motion that a mode of joints or of hands is asked for.
+
+    Args:
+        command: of the operator.
+        robot: the driven robot.
+        hands: its hands; they are placed anew.
+        mode: the mode that drives it.
+        frame: the axes in which hands are moved.
+        held: the object between the hands, which then moves in their place.
+        q: (n,) where the robot is [rad or m].
+    """
+    motion, joints = Motion.rest(robot.n, len(hands.names)), robot.joint_names
+    for axis, rate in command.rates.items():
+        hand, _, plain = axis.rpartition(".")
+        if axis in joints:
+            motion.joints[joints.index(axis)] = rate
+        elif plain in HAND_AXES and (not hand or hand in hands.names):
+            rows = hands.names.index(hand) if hand else slice(None)
+            motion.hands[rows, HAND_AXES.index(plain)] = rate
+    motion.joints[~mode.drives_joints] = 0.0
+    if not mode.drives_hands:
+        motion.hands[:] = 0.0
+        return motion
+    hands.update(q)
+    if held is not None:
+        axes = held.axes(hands.rotations) if frame is Frame.TOOL else np.eye(3)
+        motion.hands[:] = held.hands_twists(hands.positions, _turned(axes, motion.hands[0]))
+    elif frame is Frame.TOOL:
+        for hand_twist, axes in zip(motion.hands, hands.rotations, strict=True):
+            hand_twist[:] = _turned(axes, hand_twist)
+    return motion
+
+
+def _turned(axes: Array, twist: Array) -> Array:
+    """A twist (6,) in axes (3, 3), in those of the world."""
+    return np.concatenate([axes @ twist[:3], axes @ twist[3:]])
+
+
+# Decoupled Cartesian mode: base joints one by one, the six joints next to each hand by the hand's motion.
+
+
+class DecoupledMode(ResolvedMode):
+    """The classic mode of teleoperation (Hooper & Noakes, section II).
+
+    The tasks are the hands, carried along by the base joints, and the base joints. An object that the hands hold is
+    carried along by base joints that carry all of them; under the others it stays where it is.
+    """
+
+    name = ModeName.DECOUPLED
+    drives_hands = True
+
+    def __init__(self, robot: RobotModel) -> None:
+        super().__init__(robot)
+        self.drives_joints = np.logical_not(self._hands.arms.any(axis=0))
+        self._driven = np.flatnonzero(self.drives_joints)
+        self._carries_all = self.drives_joints & self._hands.moved_by.all(axis=0)
+
+    def _tasks(self, motion: Motion, held: HeldObject | None) -> DrivenTasks:
+        carries = self.drives_joints if held is None else self._carries_all
+        rows, rates = _carried(
+            self._units, self._hands.jacobian, motion.hands, motion.joints, self._driven, carries
+        )
+        return DrivenTasks(rows, rates)
+
+
+@compiled
+def _carried(
+    units: Array, jacobian: Array, twists: Array, joints: Array, driven: Indices, carries: NDArray[np.bool_]
+) -> tuple[Array, Array]:
+    """Rows and rates of the hands' twists (h, 6), which the joints that carry add to, and of the driven joints (m,)."""
+    tasks, n = jacobian.shape
+    rows, rates = np.zeros((tasks + len(driven), n)), np.empty(tasks + len(driven))
+    for row in range(tasks):
+        rates[row] = units[row] * twists[row // 6, row % 6]
+        for joint in range(n):
+            rows[row, joint] = units[row] * jacobian[row, joint]
+            if carries[joint]:
+                rates[row] += rows[row, joint] * joints[joint]
+    for place in range(len(driven)):
+        rows[tasks + place, driven[place]] = 1.0
+        rates[tasks + place] = joints[driven[place]]
+    return rows, rates
+
+
+# Joint mode: each joint by itself. It needs no inverse, so it works in every configuration.
+
+
+class JointMode(SteppedMode):
+    """Drives joints independently (Hooper & Noakes, section II); only their own limits bound it."""
+
+    name = ModeName.JOINT
+    drives_hands = False
+
+    def __init__(self, robot: RobotModel) -> None:
+        super().__init__(robot)
+        self.drives_joints = np.ones(robot.n, dtype=np.bool_)
+
+    def step(self, _q: Array, motion: Motion, time_s: float) -> Array:
+        """The displacement asked for."""
+        displacement: Array = motion.joints * time_s
+        return displacement
+
 
 ModeTable = Mapping[ModeName, Callable[[RobotModel], TeleoperationMode]]
 

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from deltaq_controllers.answers import Answers, lease
-from deltaq_controllers.ros2.joint_states import JointStates
-from deltaq_controllers.ros2.messages import JointState, JointTrajectory
+from deltaq_controllers.ros2.messages import JointState, JointStates, JointTrajectory
 from deltaq_controllers.ros2.mover import TrajectoryMover
 from deltaq_controllers.ros2.rmw import checked_domain_id, checked_namespace, ros_name
 from deltaq_controllers.ros2.ros_session import RosPublisher, RosSession

@@ -12,6 +12,7 @@ from typing import ClassVar, Self
 from deltaq_controllers.ros2.cdr import CdrReader, CdrWriter
 from deltaq_controllers.ros2.refusal import RefusedMessageError
 from deltaq_controllers.ros2.rmw import RosType
+from deltaq_protocol.messages import RobotState, RobotSummary
 
 MAX_MESSAGE_BYTES = 1024 * 1024
 MAX_POINTS = 1_000
@@ -173,3 +174,39 @@ class JointTrajectory:
         points = tuple(JointTrajectoryPoint.read(cdr, f"points[{k}]") for k in range(count))
         cdr.end()
         return cls(header, names, points)
+
+
+# A robot's states as ROS messages.
+
+_NEAR_CYCLES = 10
+"""States farther apart tell no velocity."""
+
+
+class JointStates:
+    """Makes the joint states of one robot.
+
+    Args:
+        robot: its joints.
+        cycle_s: of the cell.
+    """
+
+    def __init__(self, robot: RobotSummary, cycle_s: float) -> None:
+        self._joints = robot.joints
+        self._cycle_s = cycle_s
+        self._before: RobotState | None = None
+
+    def message(self, state: RobotState, now_ns: int) -> JointState:
+        """The measured positions and, from those of the state before, velocities; there is no effort.
+
+        Args:
+            state: newer than the one before.
+            now_ns: time since the epoch [ns]. It is the stamp; the state's own is on the clock of the robot's server.
+        """
+        before, self._before = self._before, state
+        velocity: tuple[float, ...] = ()
+        if before is not None and 0 < state.cycle - before.cycle <= _NEAR_CYCLES:
+            between_s = (state.cycle - before.cycle) * self._cycle_s
+            velocity = tuple(
+                (q - q_before) / between_s for q, q_before in zip(state.q, before.q, strict=True)
+            )
+        return JointState(Header(RosTime.of_ns(now_ns)), self._joints, state.q, velocity)

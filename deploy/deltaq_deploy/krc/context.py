@@ -7,10 +7,185 @@ written by hand: for those there is a list to build it from.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from dataclasses import dataclass
 
 from deltaq_deploy.krc.header import header, xml_comment
-from deltaq_deploy.krc.objects import Thing, objects_of
-from deltaq_deploy.krc.plan import KrcPlan
+from deltaq_deploy.krc.plan import PRECISION, TIMEOUT_CYCLES, KrcPlan, written
+from deltaq_protocol.rsi.axes import ARM_AXES, EXTERNAL_AXES
+
+# The objects of an RSI context, their links and parameters, from the plan.
+#
+# Types, numbers, ports and parameter names are those of contexts that RSI Visual wrote for RSI 3 (AXISCORR,
+# AXISCORRMON, ETHERNET and STOP have moved a KR 16 there; AXISCORREXT has been tried by nobody whose report
+# we know).
+
+ETHERNET = "ETHERNET1"
+UNCORRECTED = 6.0
+"""The maker's default of a monitor [deg or mm], for axes that are not corrected."""
+
+
+@dataclass(frozen=True)
+class SignalLink:
+    """An input of an object and the output that it is linked to, both counted from 1."""
+
+    port: str
+    number: int
+    source: str
+    output: int
+    signal: str | None = None
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of an object.
+
+    Attributes:
+        name: of it.
+        number: its number in RSI 3.
+        value: as the controller reads it.
+        shown: as RSI Visual shows it, where that differs.
+        kind: type in RSI Visual.
+        runtime: can be changed while RSI runs.
+        least: smallest value in RSI Visual.
+        most: largest value.
+    """
+
+    name: str
+    number: int
+    value: str
+    shown: str | None = None
+    kind: str = "System.Double"
+    runtime: bool = True
+    least: int = -(2**31)
+    most: int = 2**31 - 1
+
+
+@dataclass(frozen=True)
+class Thing:
+    """One object: its type, the number of the type, links, outputs and parameters."""
+
+    kind: str
+    name: str
+    type_number: int
+    links: tuple[SignalLink, ...] = ()
+    outputs: tuple[tuple[str, str | None], ...] = ()
+    parameters: tuple[Parameter, ...] = ()
+
+
+def objects_of(plan: KrcPlan) -> tuple[Thing, ...]:
+    """The objects of the context, the ETHERNET object last."""
+    inputs, outputs = _inputs(plan), _outputs(plan)
+    things = [*inputs, _correction(plan)]
+    if plan.external:
+        things.append(_external_correction(plan))
+    things += [_monitor(plan), *outputs]
+    if plan.stop is not None:
+        things.append(
+            Thing(
+                "STOP",
+                "STOP1",
+                18,
+                (SignalLink("In1", 1, ETHERNET, plan.stop.channel, "Bool"),),
+                (),
+                (Parameter("Mode", 1, "4", "ExitMoveCorr", "KUKA.RSIVisual.RSI_StopType"),),
+            )
+        )
+    return (*things, _ethernet(plan, inputs))
+
+
+def _correction(plan: KrcPlan) -> Thing:
+    limits = [Parameter(f"LowerLim{one.axis}", one.number, written(one.lower)) for one in plan.arm]
+    limits += [Parameter(f"UpperLim{one.axis}", one.number + 12, written(one.upper)) for one in plan.arm]
+    return Thing(
+        "AXISCORR",
+        "AXISCORR1",
+        33,
+        tuple(SignalLink(f"Corr{one.axis}", one.number, ETHERNET, one.channel) for one in plan.arm),
+        (("Stat", "Int"), *((axis, None) for axis in ARM_AXES)),
+        tuple(limits),
+    )
+
+
+def _external_correction(plan: KrcPlan) -> Thing:
+    limits = [Parameter(f"LowerLim{one.axis}", one.number, written(one.lower)) for one in plan.external]
+    limits += [Parameter(f"UpperLim{one.axis}", one.number + 12, written(one.upper)) for one in plan.external]
+    return Thing(
+        "AXISCORREXT",
+        "AXISCORREXT1",
+        33,
+        tuple(SignalLink(f"Corr{one.axis}", one.number, ETHERNET, one.channel) for one in plan.external),
+        tuple((axis, None) for axis in EXTERNAL_AXES),
+        tuple(limits),
+    )
+
+
+def _monitor(plan: KrcPlan) -> Thing:
+    axes = (*ARM_AXES, *EXTERNAL_AXES)
+    corrected = {one.axis: one.monitored for one in plan.corrections}
+    bounds = [
+        Parameter(f"Max{axis}", number, written(corrected.get(axis, UNCORRECTED)), least=0)
+        for number, axis in enumerate(axes, start=1)
+    ]
+    return Thing("AXISCORRMON", "AXISCORRMON1", 82, (), tuple((axis, None) for axis in axes), tuple(bounds))
+
+
+def _inputs(plan: KrcPlan) -> list[Thing]:
+    wired = [signal for signal in plan.inputs if signal.digital is not None]
+    return [
+        Thing(
+            "DIGIN",
+            f"DIGIN{number}",
+            29,
+            (),
+            (("Out1", "Int"),),
+            (
+                Parameter("Index", 1, str(signal.digital), kind="System.Int32", least=1, most=4096),
+                Parameter("DataSize", 2, "0", "Bit", "KUKA.RSIVisual.RSI_DataSize"),
+            ),
+        )
+        for number, signal in enumerate(wired, start=1)
+    ]
+
+
+def _outputs(plan: KrcPlan) -> list[Thing]:
+    wired = [signal for signal in plan.outputs if signal.digital is not None]
+    return [
+        Thing(
+            "MAP2DIGOUT",
+            f"MAP2DIGOUT{number}",
+            14,
+            (SignalLink("In1", 1, ETHERNET, signal.channel, "Int"),),
+            (),
+            (
+                Parameter("Index", 1, str(signal.digital), kind="System.Int32", least=1, most=4096),
+                Parameter("DataSize", 2, "0", "Bit", "KUKA.RSIVisual.RSI_DataSizeX"),
+            ),
+        )
+        for number, signal in enumerate(wired, start=1)
+    ]
+
+
+def _ethernet(plan: KrcPlan, inputs: list[Thing]) -> Thing:
+    wired = [signal for signal in plan.inputs if signal.digital is not None]
+    links = tuple(
+        SignalLink(f"In{signal.channel}", signal.channel, source.name, 1)
+        for signal, source in zip(wired, inputs, strict=True)
+    )
+    last = plan.stop or (plan.outputs or plan.corrections)[-1]
+    return Thing(
+        "ETHERNET",
+        ETHERNET,
+        64,
+        links,
+        tuple((f"Out{number}", None) for number in range(1, last.channel + 1)),
+        (
+            Parameter("ConfigFile", 1, plan.ethernet_xml, kind="System.FileName", runtime=False),
+            Parameter("Timeout", 1, str(TIMEOUT_CYCLES), kind="System.Int32", least=0),
+            Parameter("Flag", 4, "1", kind="System.Int32", least=-1, most=999),
+            Parameter("Precision", 8, str(PRECISION), kind="System.Int32", least=1, most=32),
+        ),
+    )
+
 
 _MODEL = "http://schemas.microsoft.com/dsltools/RSIVisual"
 _SCHEMA = "/Roboter/Config/System/Common/Schemes/RSIContext.xsd"

@@ -9,7 +9,7 @@ from collections import Counter
 from enum import Enum, auto
 
 from deltaq_services.console.settings import Settings
-from deltaq_services.tries import Tries
+from deltaq_services.rate_limit import Tries
 
 
 class Entrance(Enum):

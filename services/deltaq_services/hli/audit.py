@@ -28,8 +28,7 @@ from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.deeds import Deed
 from deltaq_services.outputs import ClientOrigin
-from deltaq_services.pace import Pace
-from deltaq_services.rate_limit import RateLimit
+from deltaq_services.rate_limit import Pace, RateLimit
 
 # Equal deeds are one entry with a count, so that a flood of them fills no disk. Plain decisions.
 #

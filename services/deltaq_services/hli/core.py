@@ -53,7 +53,7 @@ from deltaq_services.hli.robot_link import LinkMemory, RobotLink
 from deltaq_services.hli.state import HliState, answered_by_error
 from deltaq_services.lagging import Heard
 from deltaq_services.outputs import Output, Sender, ToSender, ToTopic
-from deltaq_services.pace import Pace
+from deltaq_services.rate_limit import Pace
 
 # What the HLI remembers from one message to the next: values, from which another goes on as it would have.
 

@@ -30,7 +30,7 @@ from deltaq_services.hli.guarded_front import GuardedFront
 from deltaq_services.hli.open_front import OpenFront
 from deltaq_services.hli.tcp_front import TcpFront
 from deltaq_services.outputs import ClientOrigin, Output, Sender, ToSender
-from deltaq_services.pace import Pace
+from deltaq_services.rate_limit import Pace
 
 if TYPE_CHECKING:
     from deltaq_services.hli.authentication import ClientIdentities

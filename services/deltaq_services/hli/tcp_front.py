@@ -18,7 +18,7 @@ from deltaq_services.hli.places import MAX_CONNECTIONS, MAX_OF_A_PEER, LineTurns
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.tcp_connection import TcpConnection, address_of
 from deltaq_services.outputs import ClientOrigin
-from deltaq_services.tries import Tries
+from deltaq_services.rate_limit import Tries
 
 _log = logging.getLogger(__name__)
 

@@ -17,8 +17,7 @@ from prometheus_client.registry import Collector
 from deltaq_protocol.client import Cell, connect
 from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
 from deltaq_protocol.messages import Status
-from deltaq_services.metrics.delays import Delays
-from deltaq_services.metrics.families import families
+from deltaq_services.metrics.families import Delays, families
 
 _log = logging.getLogger(__name__)
 

@@ -27,7 +27,7 @@ from deltaq_protocol.topic import Party, Realm, Topic
 from deltaq_services.greeter import Greeter
 from deltaq_services.guarded_key import guarded_seal
 from deltaq_services.guarded_session import open_guarded_session
-from deltaq_services.pace import Pace
+from deltaq_services.rate_limit import Pace
 from deltaq_services.sim.core import Sim
 from deltaq_services.sim.gate_log import GateLog
 from deltaq_services.sim.gate_stamps import GateStamps

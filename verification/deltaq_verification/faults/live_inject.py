@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import json
 import os
 import resource
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
+from typing import Never
+
+import zenoh
 
 from deltaq_cell.description import RsiDescription
+from deltaq_cell.load import load_cell
 from deltaq_launch.cell_connection import connect
 from deltaq_launch.services import Role
+from deltaq_protocol import topics
+from deltaq_protocol.messages import PROTOCOL_VERSION
+from deltaq_protocol.session import open_session
 from deltaq_verification.faults.actions import (
     AskPanel,
     BeginInThePast,
@@ -32,6 +42,45 @@ from deltaq_verification.faults.live_cell import MovingCell
 from deltaq_verification.faults.virtual import FaultRunError
 from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
 from deltaq_verification.virtual_cell.parts import Process
+
+# Clients that ask for everything and read nothing: `python -m deltaq_verification.faults.live_inject
+# CELL`.
+#
+# Several hang on the TCP port with full buffers, and a zenoh session stays alive while its reading stands
+# still.
+
+_TCP_CLIENTS = 8
+
+
+def main() -> None:
+    """Hang there until killed."""
+    cell = load_cell(sys.argv[1])
+    hello = {"type": "hello", "protocol": PROTOCOL_VERSION, "client": "who reads nothing"}
+    hanging = []
+    for _ in range(_TCP_CLIENTS):
+        client = socket.socket()
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1)  # before it connects: full at once
+        client.connect((cell.tcp_address, cell.tcp_port))
+        client.sendall(json.dumps(hello).encode() + b"\n")
+        hanging.append(client)
+    session = open_session(connect=[cell.hli], must_connect=True)
+    stands_still = threading.Event()
+
+    def never_return(_: zenoh.Sample) -> Never:
+        stands_still.set()
+        while True:
+            threading.Event().wait()
+
+    callback = zenoh.handlers.Callback(never_return, indirect=False)  # in the thread that reads the socket
+    session.declare_subscriber(topics.STATE.key(cell.cell), callback)
+    stands_still.wait()
+    print("ready: reads nothing", flush=True)
+    threading.Event().wait()
+
+
+if __name__ == "__main__":
+    main()
+
 
 _FULL_BYTES = 4096
 """No file of the recorder may be longer than this once its disk is full."""
@@ -58,7 +107,7 @@ class Injector:
         if not isinstance(fault.action, ReadNothing):
             return
         cell = self._loaded.model.description
-        command = [sys.executable, "-m", "deltaq_verification.faults.stalled_client", str(self._loaded.file)]
+        command = [sys.executable, "-m", "deltaq_verification.faults.live_inject", str(self._loaded.file)]
         self._reader = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert self._reader.stdout is not None  # a pipe was asked for
         self._reader.stdout.readline()  # it hangs there now

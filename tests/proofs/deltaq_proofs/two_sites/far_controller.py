@@ -14,7 +14,7 @@ from deltaq_controllers.answers import view_ahead
 from deltaq_controllers.interface import Controller, RobotView, View
 from deltaq_emulator.faults import FaultyLink, LinkFaults
 from deltaq_protocol.in_flight import InFlight
-from deltaq_protocol.increments_out import REPEATED
+from deltaq_protocol.leased_robot import REPEATED
 from deltaq_protocol.messages import (
     EarlierIncrement,
     Increment,

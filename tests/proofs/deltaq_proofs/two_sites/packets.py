@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Self
 
 from deltaq_emulator.faults import LinkFaults
-from deltaq_protocol.background import Background
+from deltaq_protocol.blocking import Background
 from deltaq_protocol.errors import DeltaqError
 from deltaq_verification.impairment.pump import Pump
 
