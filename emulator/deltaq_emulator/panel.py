@@ -107,7 +107,7 @@ class _Awaiting:
     last_cycle: int
 
 
-_REQUESTS: TypeAdapter[Any] = TypeAdapter(
+REQUESTS: TypeAdapter[Any] = TypeAdapter(
     Annotated[
         _Simple | _Restart | _SetMode | _SetDrives | _SetInput | _Fault | _Record | _Await,
         Field(discriminator="op"),
@@ -152,7 +152,7 @@ class Panel:
         try:
             if len(datagram) > MAX_REQUEST_BYTES:
                 raise DeltaqError(f"a request has at most {MAX_REQUEST_BYTES} bytes, got {len(datagram)}")
-            request = _REQUESTS.validate_json(datagram)
+            request = REQUESTS.validate_json(datagram)
             if isinstance(request, _Await):
                 self._await(request, answer)
                 return

@@ -6,7 +6,17 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from deltaq_protocol.messages import Count, Joints, Message, Name, NearestPair, Phase, Real, Verdict
+from deltaq_protocol.messages import (
+    MOST_COUNTED_ON,
+    Count,
+    Joints,
+    Message,
+    Name,
+    NearestPair,
+    Phase,
+    Real,
+    Verdict,
+)
 from deltaq_protocol.reasons import ReasonCode
 
 BrakeCycles = Annotated[int, Field(ge=1, le=10_000)]
@@ -78,7 +88,7 @@ class Request(Message):
     robot: Name
     cycle: Count
     newest: Count | None = None
-    lease_epoch: Count
+    lease_epoch: Annotated[int, Field(ge=0, lt=MOST_COUNTED_ON)]
     seq: Count = 0
     dq: Joints | None = None
 

@@ -265,6 +265,7 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(CONSOLE, "messages", "messages of browsers, valid or not"),
     Counted(CONSOLE, "malformed", "messages of browsers that are not valid commands"),
     Counted(CONSOLE, "malformed_heard", "messages of the HLI that could not be understood"),
+    Counted(CONSOLE, "internal_errors", "messages and ticks that failed with an error that nobody foresaw"),
     Counted(CONSOLE, "too_many", "commands beyond the number that a browser may send in a second"),
     Counted(CONSOLE, "repeated", "commands with an id that was used before"),
     Counted(CONSOLE, "expired", "commands that came too late to be carried out"),

@@ -11,6 +11,7 @@ from served_console import live, served, told
 
 from deltaq_launch.private_cell import free_ports
 from deltaq_protocol.errors import ServiceUnreachableError
+from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 from deltaq_services.console.door import Door, Entrance
 from deltaq_services.console.hli_link import HliLink
 from deltaq_services.console.settings import NoTokenError, Settings
@@ -192,3 +193,24 @@ async def test_who_asks_before_there_is_a_session_waits_for_it():
     asking = asyncio.ensure_future(link.asking())
     async with link:
         assert await asking is await link.asking()
+
+
+@pytest.mark.long
+async def test_a_command_and_a_tick_that_fail_are_told_and_the_browser_stays(tmp_path, monkeypatch, caplog):
+    async with served(tmp_path) as (console, host), websockets.connect(live(host)) as browser:
+        monkeypatch.setattr(console.core.drivers, "obey", lambda *_: 1 / 0)
+        monkeypatch.setattr(console.core.picture, "frame", lambda _: 1 / 0)
+        await told(browser, "hello")
+        for id_ in ("a", "b"):
+            await browser.send(
+                json.dumps({"type": "lease", "id": id_, "sent_ms": 0, "robot": "fr", "action": "take"})
+            )
+            ack = await told(browser, "ack")
+            assert (ack["id"], ack["outcome"]) == (id_, "refused")
+            assert ack["text"] == EXPLANATIONS[ReasonCode.INTERNAL_ERROR]
+        while console.core.counters["internal_errors"] < 3:  # a tick
+            await asyncio.sleep(0)
+        monkeypatch.undo()
+        while not isinstance(await browser.recv(), bytes):
+            pass
+    assert caplog.text.count("ZeroDivisionError") == 2

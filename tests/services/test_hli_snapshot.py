@@ -51,10 +51,16 @@ class Day:
         return None if lease is None else lease.token
 
     def message(self):
-        draw = self.random
+        draw, kinds = self.random, self.kinds()
         robot = draw.choice([*ROBOTS])
         self.seq += draw.choice([0, 1, 1, 1])
-        kinds = {
+        (what,) = draw.choices([*kinds], [weight for weight, _ in kinds.values()])
+        self.seen.add(what)
+        return kinds[what][1](robot)
+
+    def kinds(self):
+        """How often each kind of message comes, and what makes it for a robot."""
+        return {
             "state": (9, self.state),
             "increment": (9, self.increment),
             "bad increment": (1, lambda _: InvalidMessageError("dq", ReasonCode.MALFORMED)),
@@ -68,9 +74,6 @@ class Day:
             "view": (1, lambda robot: ViewRequest(robot=robot, distance_m=self.random.choice([1.0, 2.0]))),
             "dry run": (1, lambda robot: DryRunRequest(robot=robot, dq=(0.0,) * ROBOTS[robot])),
         }
-        (what,) = draw.choices([*kinds], [weight for weight, _ in kinds.values()])
-        self.seen.add(what)
-        return kinds[what][1](robot)
 
     def state(self, robot):
         self.cycle += 1

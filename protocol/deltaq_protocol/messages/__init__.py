@@ -9,6 +9,7 @@ from __future__ import annotations
 from deltaq_protocol.messages.base import (
     LINE_VERSIONS,
     MOST,
+    MOST_COUNTED_ON,
     MOST_OF_A_JOINT,
     PROTOCOL_VERSION,
     Count,
@@ -84,6 +85,7 @@ from deltaq_protocol.messages.view import (
 __all__ = [
     "LINE_VERSIONS",
     "MOST",
+    "MOST_COUNTED_ON",
     "MOST_EARLIER",
     "MOST_OF_A_JOINT",
     "PROTOCOL_VERSION",

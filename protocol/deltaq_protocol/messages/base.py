@@ -26,6 +26,8 @@ PoseRows = tuple[Row, Row, Row, Row]
 """A homogeneous matrix, row by row."""
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[a-z][a-z0-9_-]*$")]
 Count = Annotated[int, Field(ge=0, lt=2**63)]
+MOST_COUNTED_ON = 2**62
+"""Ids and epochs from which somebody counts on are below it: no message brings such a count to its end."""
 Secret = Annotated[str | None, Field(repr=False)]
 """A token: neither shown nor quoted, see `deltaq_protocol.quoting`."""
 

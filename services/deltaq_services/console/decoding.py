@@ -41,7 +41,7 @@ def command_of(message: str | bytes) -> AnyCommand:
     try:
         return COMMANDS.validate_json(message)
     except ValidationError as error:
-        raise InvalidCommandError(_words(dict(error.errors(include_url=False)[0])), _id_in(message)) from None
+        raise InvalidCommandError(_words(dict(error.errors(include_url=False)[0])), id_in(message)) from None
     except UnicodeEncodeError:
         raise InvalidCommandError("message: is not UTF-8 text") from None
 
@@ -64,7 +64,8 @@ def _words(error: dict[str, Any]) -> str:
     return text if bound is None or error["type"].endswith("tag_invalid") else f"{text}; bound {bound}"
 
 
-def _id_in(message: str) -> str:
+def id_in(message: str | bytes) -> str:
+    """The id in a message, as far as it has one."""
     try:
         data = json.loads(message)
     except (ValueError, RecursionError):

@@ -37,18 +37,21 @@ from deltaq_protocol.messages import (
     ViewReply,
     ViewRequest,
 )
+from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 from deltaq_protocol.role_prover import role_prover
 from deltaq_services.console.client import Client
 from deltaq_services.console.connection import BrowserConnection
 from deltaq_services.console.core import ConsoleCore
+from deltaq_services.console.decoding import id_in
 from deltaq_services.console.driver_process import DriverProcess
 from deltaq_services.console.hli_link import HliLink
-from deltaq_services.console.messages import StopPhase
-from deltaq_services.console.outputs import AskHli, ConsoleOutput, ToDriver, ToRecorder
+from deltaq_services.console.messages import Ack, AckOutcome, StopPhase
+from deltaq_services.console.outputs import AskHli, ConsoleOutput, ToClient, ToDriver, ToRecorder
 from deltaq_services.console.recorder_process import RecorderProcess
 from deltaq_services.console.recordings import RecordingFolder
 from deltaq_services.console.replay_process import ReplayReader
 from deltaq_services.console.scene import BrowserScene, scene_of
+from deltaq_services.containment import Containment
 
 M = TypeVar("M", bound=Message)
 
@@ -127,6 +130,7 @@ class Console:
         self._tasks: set[asyncio.Task[None]] = set()
         self._newest_stop = ""
         self._heartbeat = Heartbeat()
+        self._containment = Containment(lambda: ())
         self._epoch_s = time.time() - time.monotonic()
 
     async def run(self) -> None:
@@ -163,9 +167,21 @@ class Console:
 
     def _take(self, client: Client, message: str | bytes) -> None:
         before = self.core.stop.phase
-        self._carry_out(self.core.take(client, message, self.now_s()))
+        try:
+            self._carry_out(self.core.take(client, message, self.now_s()))
+        except Exception as error:  # the browser stays; what a message asks to move ends by itself
+            self._failed(error)
+            text = EXPLANATIONS[ReasonCode.INTERNAL_ERROR]
+            refused = Ack(id=id_in(message), outcome=AckOutcome.REFUSED, text=text)
+            self._carry_out([ToClient(client.number, refused)])
         if self.core.stop.phase is not before:
             self._carry_out(self.core.tick(self.now_s()))
+
+    def _failed(self, error: Exception) -> None:
+        """Count an error that nobody foresaw, and log it once."""
+        self.core.counters["internal_errors"] += 1
+        self._containment.note(error)
+        self._containment.log_once(_log)
 
     def _carry_out(self, outputs: list[ConsoleOutput]) -> None:
         for output in outputs:
@@ -244,22 +260,28 @@ class Console:
     async def _tick(self) -> None:
         next_s, ticks = time.monotonic(), 0
         while True:
-            now_s = self.now_s()
-            self._hear(now_s)
-            if self._connections:
-                frame = self.core.picture.frame(now_s)
-                for connection in self._connections.values():
-                    connection.put_frame(frame)
-            stopping = self.core.stop.phase in (StopPhase.ASKED, StopPhase.STOPPING)
-            if stopping or not self._connections or ticks % _TOLD_EVERY == 0:
-                self._carry_out(self.core.tick(now_s))
+            try:
+                self._show(self.now_s(), ticks)
+            except Exception as error:  # the next tick may do better: an operator looks on
+                self._failed(error)
             ticks += 1
-            if self._heartbeat.is_due(now_s):
-                health = self.core.health()
-                self._heartbeat.beat(now_s, bool(health["healthy"]), str(health["detail"]))
             # what was missed is not made up for
             next_s = max(next_s + (FRAME_S if self._connections else _ALONE_S), time.monotonic())
             await asyncio.sleep(next_s - time.monotonic())
+
+    def _show(self, now_s: float, ticks: int) -> None:
+        """Tell the browsers what is new."""
+        self._hear(now_s)
+        if self._connections:
+            frame = self.core.picture.frame(now_s)
+            for connection in self._connections.values():
+                connection.put_frame(frame)
+        stopping = self.core.stop.phase in (StopPhase.ASKED, StopPhase.STOPPING)
+        if stopping or not self._connections or ticks % _TOLD_EVERY == 0:
+            self._carry_out(self.core.tick(now_s))
+        if self._heartbeat.is_due(now_s):
+            health = self.core.health()
+            self._heartbeat.beat(now_s, bool(health["healthy"]), str(health["detail"]))
 
     def _hear(self, now_s: float) -> None:
         picture = self.core.picture
@@ -281,6 +303,8 @@ class Console:
             take(unpack(message_type, payload))
         except InvalidMessageError:
             self.core.counters["malformed_heard"] += 1
+        except Exception as error:  # as if it had been lost
+            self._failed(error)
 
     async def _poll(self) -> None:
         """Ask for what is not published, again and again, whatever becomes of it."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from deltaq_protocol import topics
 from deltaq_protocol.audit import AuditOutcome
 from deltaq_protocol.guarded import Command, CommandReply
-from deltaq_protocol.messages import DryRunReply, Error, Message
+from deltaq_protocol.messages import MOST_COUNTED_ON, DryRunReply, Error, Message
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 from deltaq_services.hli.deeds import Tell, deed_of, told_to_nobody
 from deltaq_services.outputs import NOBODY, ClientOrigin, Output, Sender, ToSender, ToTopic
@@ -194,7 +194,7 @@ class Commands:
     def learn(self, epoch: int, newest_id: int) -> None:
         """The gate says of what epoch it is, and how far ids have come."""
         self._epoch = epoch
-        if newest_id > self._id:
+        if self._id < newest_id < MOST_COUNTED_ON:
             self._outdated_id, self._id = self._id, newest_id
 
     def _sent_again(self, awaited: _Awaited) -> list[Output]:

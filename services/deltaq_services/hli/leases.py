@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
+from deltaq_protocol.messages import MOST_COUNTED_ON
 from deltaq_services.outputs import NOBODY, ClientOrigin, Sender
 
 # Sequence numbers that were seen: none is taken twice, and those of a long way may overtake one another.
@@ -160,7 +161,7 @@ class Leases:
 
     def count_on_from(self, epoch: int) -> list[Lease]:
         """An earlier process granted `epoch`: grant greater ones; returns the leases that are outdated by it."""
-        if epoch <= self._epoch:
+        if not self._epoch < epoch < MOST_COUNTED_ON:
             return []
         self._epoch = epoch
         return [lease for lease in self._leases.values() if lease is not None]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from deltaq_protocol.guarded import Command, CommandReply
+from deltaq_protocol.messages import MOST_COUNTED_ON
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.gated_robot import GatedRobot
 
@@ -31,6 +32,9 @@ class CommandOrder:
             return self._refused(
                 command, epoch, ReasonCode.STALE_EPOCH, f"gate epoch {command.epoch}, this is {epoch}"
             )
+        if command.id >= MOST_COUNTED_ON:
+            said = f"id {command.id}, it has to be less than {MOST_COUNTED_ON}"
+            return self._refused(command, epoch, ReasonCode.MALFORMED, said)
         if command.id <= self.newest_id:
             said = f"id {command.id}, the newest so far is {self.newest_id}"
             return self._refused(command, epoch, ReasonCode.REPLAYED_SEQUENCE, said)
@@ -43,7 +47,8 @@ class CommandOrder:
 
     def passed(self, command: Command) -> None:
         """A command was taken, or is out of date: nothing that was sent before it counts any more."""
-        self.newest_id = max(self.newest_id, command.id)
+        if command.id < MOST_COUNTED_ON:
+            self.newest_id = max(self.newest_id, command.id)
 
     def _refused(self, command: Command, epoch: int, code: ReasonCode, message: str) -> CommandReply:
         return CommandReply(
