@@ -20,7 +20,7 @@ from deltaq_command.app import app
 CELL = """\
 cell: small
 cycle_s: 0.012
-gate: {stop_distance_m: 0.05, servo_lag_s: 0.072}
+gate: {stop_distance_m: 0.05, servo_lag_s: 0.204}
 robots:
   fr:
     model: kr16

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from deltaq_cell.description import RobotDescription
+from deltaq_cell.description.driver import DRIVES
 from deltaq_cell.find import find_cell
 from deltaq_cell.load import load_cell, load_with_text, parse_cell
 from deltaq_cell.problems import CellError, Problem
@@ -404,3 +406,19 @@ def test_on_the_loopback_the_krc_need_not_be_named(tmp_path, address):
 def test_users_cannot_be_given_the_stop_signal_as_an_output(tmp_path):
     with pytest.raises(CellError, match=r"outputs\.gripper is Stop, which is driver\.stop"):
         load_with_driver(tmp_path, "stop: Stop, outputs: {gripper: Stop}")
+
+
+@pytest.mark.parametrize("krc", ["krc2", "krc4"])
+def test_emulated_drives_lag_as_those_of_their_krc_unless_the_cell_says_otherwise(krc):
+    fr = load_cell("lab").robots["fr"]
+    told = fr.model_dump(exclude_unset=True, exclude={"servo_lag"})
+    told["driver"]["krc"] = krc
+    described = RobotDescription.model_validate(told)
+    assert described.servo_lag == DRIVES[krc]
+    assert fr.servo_lag != DRIVES["krc2"]
+    mean_s = (
+        2 * {"krc2": 0.012, "krc4": 0.004}[krc]
+        + DRIVES[krc].dead_time_s
+        + 2 / DRIVES[krc].natural_frequency_rad_s
+    )
+    assert mean_s == pytest.approx({"krc2": 0.12, "krc4": 0.074}[krc])

@@ -80,3 +80,16 @@ class ServoLag(DescriptionModel):
     dead_time_s: NotNegative = 0.012
     natural_frequency_rad_s: Positive = 167.0
     damping: Positive = 1.0
+
+
+DRIVES = {
+    "krc2": ServoLag(dead_time_s=0.046, natural_frequency_rad_s=40.0),
+    "krc4": ServoLag(dead_time_s=0.016, natural_frequency_rad_s=40.0),
+}
+"""Lag of emulated drives by generation of the KRC, where a robot says none.
+
+Of a KR 16 on a KR C2 a response of 50 ms and a tracking delay over RSI of 120 ms are published (Arbo, Eriksen,
+Sanfilippo, Gravdahl: Comparison of KVP and RSI for controlling KUKA robots over ROS, IFAC-PapersOnLine 53-2, 2020,
+9841-9846): two cycles of 12 ms until a setpoint reaches the drives, 46 ms of dead time, and a second order of 2 / 40 s.
+For a KR C4 nothing is published: the same response, and a dead time of as many cycles, a stand-in until
+`deltaq krc lag` has measured it."""

@@ -10,7 +10,7 @@ from pydantic import Field, FiniteFloat, model_validator
 
 from deltaq_cell.description.base import DescriptionModel, GuardedEndpointText, JointName, Pose
 from deltaq_cell.description.bodies import Attachment, Camera, Hand, Tool
-from deltaq_cell.description.driver import Driver, RsiDescription, ServoLag
+from deltaq_cell.description.driver import DRIVES, Driver, RsiDescription, ServoLag
 from deltaq_cell.description.joint import JointDescription
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Name
@@ -39,8 +39,15 @@ class RobotDescription(DescriptionModel):
     never_checked: tuple[tuple[str, str], ...] = ()
     """Links or bodies of the robot that cannot touch, or always do; `deltaq check` lists the pairs left out and why."""
     servo_lag: ServoLag = ServoLag()
+    """Lag of the emulated drives; of a robot on RSI that does not say it, that of its generation of KRC."""
     outputs: tuple[Name, ...] = ()
     inputs: tuple[Name, ...] = ()
+
+    @model_validator(mode="after")
+    def _lags_as_its_krc(self) -> Self:
+        if isinstance(self.driver, RsiDescription) and "servo_lag" not in self.model_fields_set:
+            self.__dict__["servo_lag"] = DRIVES[self.driver.krc]  # no field of a frozen model can be set
+        return self
 
     @model_validator(mode="after")
     def _has_a_tag_for_every_signal(self) -> Self:
