@@ -58,10 +58,10 @@ def check_rotations(model: Any, bodies: Iterable[Any], configurations: Sequence[
         ]
     rotations = np.array([place.rotation for _, place in placed])
     translations = np.array([place.translation for _, place in placed])
-    off = np.abs(np.swapaxes(rotations, 1, 2) @ rotations - np.eye(3)).max(axis=(1, 2))
-    sound = (
-        (off <= ROTATION_TOLERANCE) & (np.linalg.det(rotations) > 0) & np.isfinite(translations).all(axis=1)
-    )
+    with np.errstate(invalid="ignore", over="ignore"):
+        off = np.abs(np.swapaxes(rotations, 1, 2) @ rotations - np.eye(3)).max(axis=(1, 2))
+        sound = (off <= ROTATION_TOLERANCE) & (np.linalg.det(rotations) > 0)
+    sound &= np.isfinite(translations).all(axis=1)
     if not sound.all():
         name = placed[int(np.argmin(sound))][0]
         raise RobotModelError(f"{source}: {name} is placed by something that is not a rotation", ("model",))
@@ -86,7 +86,8 @@ def check_sizes(bodies: Sequence[Any], reach_m: float, source: str) -> None:
         if is_small or not size <= most:
             raise RobotModelError(
                 f"{source}: body '{body.name}' is {size:.4g} m long, on a robot that reaches {reach_m:.4g} m; is it in "
-                "other units? give its mesh another scale, such as 0.001 for millimetres",
+                "other units? give its mesh another scale, such as 0.001 for millimetres (the unit that a Collada file "
+                "declares is applied already)",
                 ("model",),
             )
 

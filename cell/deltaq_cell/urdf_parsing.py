@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Collection, Mapping
 from functools import partial
@@ -32,6 +33,9 @@ SIZES = {
     "box": {"size": 3},
 }
 """Shapes, and how many numbers each of their attributes has."""
+
+_INDICES = re.compile(r"[-0-9\s]*")
+"""Of the corners of Collada's faces; a face may be marked with -1."""
 
 
 class MissingMeshError(RobotModelError):
@@ -299,29 +303,27 @@ def collada_unit(path: Path) -> float:
         OSError: it cannot be read.
         ExpatError: it is no XML.
         LookupError: its encoding is unknown.
-        ValueError: the unit is not a positive number.
+        ValueError: the unit is not a positive number, or what should be an index of a corner is none.
     """
     inside: list[str] = []
     units = ["1"]
-    is_over = False
 
     def start(name: str, attributes: dict[str, str]) -> None:
         inside.append(name)
         if inside[1:] == ["asset", "unit"]:
             units.append(attributes.get("meter", "1"))
 
-    def end(_: str) -> None:
-        nonlocal is_over
-        is_over = is_over or inside[1:] == ["asset"]
-        inside.pop()
+    def data(text: str) -> None:
+        if inside[-1] in ("p", "v", "h", "vcount") and not _INDICES.fullmatch(text):
+            raise ValueError(f"<{inside[-1]}> has what is no index")  # assimp would never end
 
     parser = expat.ParserCreate()
-    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.StartElementHandler, parser.EndElementHandler = start, lambda _: inside.pop()
+    parser.CharacterDataHandler = data
     with path.open("rb") as file:
         for piece in iter(partial(file.read, 1 << 16), b""):
             parser.Parse(piece)
-            if is_over:
-                break
+    parser.Parse(b"", True)
     unit = float(units[-1])
     if not 0 < unit <= MOST_M:
         raise ValueError(f"its unit is {units[-1]} m")

@@ -16,7 +16,7 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_cell.check import check_cell
 from deltaq_cell.description import RobotDescription
 from deltaq_cell.models import RobotModelError, load_urdf
-from deltaq_cell.plausible import extent
+from deltaq_cell.plausible import check_rotations, extent
 from deltaq_cell.robot import RobotModel
 from deltaq_cell.urdf_parsing import parse_model
 from deltaq_protocol.messages import Outcome
@@ -171,6 +171,22 @@ def test_meshes_far_smaller_than_the_robot_are_an_error(tmp_path: Path) -> None:
 def test_a_mesh_of_no_unit_is_refused(tmp_path: Path, unit: str) -> None:
     (tmp_path / "m.dae").write_text(collada(f'<unit meter="{unit}"/>', 1))
     assert "m.dae cannot be read" in told(tmp_path, arm(shape='<mesh filename="m.dae"/>'))
+
+
+def test_a_mesh_at_whose_indices_assimp_would_never_end_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "m.dae").write_text(collada("", 1).replace("7 6 0 2", "7 inf 0 2"))
+    assert "m.dae cannot be read: <p> has what is no index" in told(
+        tmp_path, arm(shape='<mesh filename="m.dae"/>')
+    )
+
+
+@pytest.mark.parametrize("by", [np.diag([0.9, 0.9, 0.9]), np.diag([1.0, 1.0, -1.0]), np.full((3, 3), np.nan)])
+def test_a_placement_that_is_no_rotation_is_refused_by_name(by: np.ndarray) -> None:
+    model = pin.buildModelFromXML(arm(3))
+    check_rotations(model, [], [np.zeros(2)], "arm.urdf")
+    model.jointPlacements[2] = pin.SE3(by, np.zeros(3))
+    with pytest.raises(RobotModelError, match="joint 'j2' is placed by something that is not a rotation"):
+        check_rotations(model, [], [np.zeros(2)], "arm.urdf")
 
 
 def test_a_body_that_urdfdom_drops_without_a_word_is_an_error(tmp_path: Path) -> None:
