@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from itertools import combinations
 
 import numpy as np
+from pydantic import ValidationError
 
 from deltaq_cell.cell_model import MOST_TOLD_BYTES, CellModel, LongDescriptionError
 from deltaq_cell.description import CellDescription
@@ -131,6 +132,12 @@ class ModelCheck:
             cell.description_message()
         except LongDescriptionError as error:
             yield self._at(("robots",), str(error), bound=MOST_TOLD_BYTES)
+        except ValidationError as error:
+            fault = error.errors()[0]
+            where, told = ".".join(map(str, fault["loc"])), fault["msg"].removeprefix("Input ")
+            yield self._at(
+                ("robots",), f"clients cannot be told of a robot's {where}, {fault['input']!r}: it {told}"
+            )
 
 
 def _remedy(robot: RobotModel, pair: Pair, stop_m: float) -> str:

@@ -171,3 +171,9 @@ def test_bodies_that_a_joint_brings_together_are_a_warning_with_range_and_depth(
         assert part in problem.message
     (tmp_path / "chain.yaml").write_text(CELL + "    never_checked: [[two, three]]\n")
     assert check_cell(tmp_path / "chain.yaml").problems == ()
+
+
+def test_a_limit_that_no_message_can_carry_is_an_error_of_the_cell(tmp_path: Path) -> None:
+    file = written(tmp_path, 0.05)
+    file.write_text(file.read_text().replace("upper_deg: 150", "upper_deg: 1.0e+300", 1))
+    assert not check_cell(file).ok
