@@ -110,8 +110,8 @@ def _follow(page: Page) -> None:
     until_s = time.monotonic() + _COMPILES_S
     while page.evaluate("deltaq.live.robot('fr').mode") != "follow":
         if time.monotonic() > until_s:
-            raise SystemExit(f"fr does not follow: {page.locator('.answer').text_content()}")
-        page.locator("[data-mode=follow]").click()
+            raise SystemExit(f"fr does not follow: {page.locator('.card .answer').text_content()}")
+        page.locator("[data-mode=follow]").click(delay=1000)  # it is held to begin
         page.wait_for_timeout(2000)
 
 

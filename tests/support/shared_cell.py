@@ -71,6 +71,8 @@ class SharedStack(Stack):
         running = self.launcher.children.get("console")
         if running is None or running.status is not None:
             self.launcher.restart("console")
+        while "console" not in self.launcher.ready:  # which a launch does not wait for
+            assert self.launcher.wait(TIMEOUT_S) is not None
         return self.on_demand[1].endpoint
 
     def _set_free(self) -> None:
