@@ -15,6 +15,8 @@ COMPILED := compiled-gate compiled-camera compiled-modes
 DEMO_S ?= 60
 # how many mutants are judged at a time, and of which modules; of all if none is given
 JOBS ?= 1
+# the camera's laws to compile ahead; all if none is given
+LAWS ?=
 MODULES ?=
 # the base image of the container; it needs Python 3.11 or newer with venv
 BASE ?= python:3.11-slim-bookworm
@@ -28,7 +30,7 @@ help: ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
 
 install: $(INSTALLED) ## make .venv, install everything, and compile what the first start would
-	@$(MAKE) --no-print-directory --jobs=2 $(COMPILED)
+	@$(MAKE) --no-print-directory --jobs=2 $(COMPILED) LAWS=paper
 
 # what is imported is compiled then: all modules of all packages take a minute. uv takes a sixth of pip's time; pip
 # installs where packages come from an index that only pip was told about
@@ -53,12 +55,12 @@ compiled-gate: $(INSTALLED)
 	@$(BIN)/python -m deltaq_cell
 
 compiled-camera: $(INSTALLED)
-	@$(BIN)/python -m deltaq_controllers.camera
+	@$(BIN)/python -m deltaq_controllers.camera $(LAWS)
 
 compiled-modes: $(INSTALLED)
 	@$(BIN)/python -m deltaq_controllers.modes
 
-demo: $(INSTALLED) $(COMPILED) ## start the emulated lab cell and let the camera follow, for DEMO_S seconds
+demo: $(INSTALLED) ## start the emulated lab cell and let the camera follow, for DEMO_S seconds
 	$(BIN)/deltaq demo --duration-s $(DEMO_S)
 
 test: $(INSTALLED) ## lint, types, rooms, tests

@@ -1,6 +1,6 @@
 """Compile the gate's kernel: `python -m deltaq_cell`, so that no start of a cell need.
 
-Prints a line for each function that it compiles, and does nothing where all of them are kept from an earlier run.
+Prints how far it is, and does nothing where all is kept from an earlier run.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ from pathlib import Path
 from deltaq_cell.machine_code import folder, is_complete, mark_complete
 
 _PACKAGE = Path(__file__).parent
+FUNCTIONS = 120
+"""About as many are compiled."""
 
 
 def main() -> int:
@@ -25,10 +27,10 @@ def compile_ahead() -> None:
     """Place and look at the bodies of the lab cell."""
     # what is heavy is imported only where something is left to do
     from deltaq_cell.cell_model import CellModel
-    from deltaq_cell.compiled import told_of_compiling
     from deltaq_cell.compiled_proximity import CompiledProximity
+    from deltaq_cell.compiling import compiling_shown
 
-    with told_of_compiling(lambda function: print(f"compiling {function}", flush=True)):
+    with compiling_shown("the gate's kernel", FUNCTIONS):
         CompiledProximity(CellModel.load("lab"))
 
 

@@ -59,6 +59,7 @@ def demo(
     log = prefixed_log(output, [service.name for service in services])
     launcher = Launcher(services, log, partial(bring_to_rest, description, "deltaq demo"))
     with shown_compiled_ahead(needed_by(services, description, cell)), launcher:
+        launcher.say(f"starting {len(services)} services")
         launcher.start()
         launcher.say(
             f"cell {description.cell} is up; the camera follows for {duration_s:g} s, Ctrl-C ends it"

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from deltaq_launch.prepare import Needed
+
+
+TOLD_EVERY_S = 10.0
+"""Where there is no terminal."""
 
 
 @contextmanager
@@ -39,22 +44,48 @@ def shown_compiled_ahead(needed: Needed) -> Iterator[None]:
     Raises:
         LaunchError: if they cannot be compiled.
     """
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
     from deltaq_command.console import console
     from deltaq_launch.prepare import compiled_ahead
 
     output = console(sys.stderr)
-    columns = (SpinnerColumn(), TextColumn("compiling {task.description}"), TimeElapsedColumn())
+    columns = (
+        TextColumn("compiling"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("functions, {task.description},"),
+        TimeElapsedColumn(),
+        TextColumn("passed, about"),
+        TimeRemainingColumn(),
+        TextColumn("left"),
+    )
     progress = Progress(*columns, console=output, transient=True, disable=not output.is_terminal)
-    task = progress.add_task("", total=None, visible=False)
+    task = progress.add_task("", total=needed.functions, visible=False)
+    begun_s, told_s, count = time.monotonic(), 0.0, 0
 
     def show(function: str) -> None:
-        if not progress.tasks[task].visible:
+        nonlocal told_s, count
+        if not count:
             output.print(
-                "compiling the gate and what else is compiled; only the first start does, for up to four minutes"
+                "compiling what is needed, once for this version; a small machine takes up to four minutes"
             )
-        progress.update(task, description=function, visible=True)
+        count += 1
+        of, passed_s = max(needed.functions, count), time.monotonic() - begun_s
+        if not output.is_terminal and passed_s - told_s >= TOLD_EVERY_S:
+            told_s = passed_s
+            left_s = passed_s * (of - count) / count
+            output.print(
+                f"compiled {count} of about {of} functions in {passed_s:.0f} s; about {left_s:.0f} s are left"
+            )
+        progress.update(task, description=function, completed=count, total=of, visible=True)
 
     with ExitStack() as stack:
         with progress:

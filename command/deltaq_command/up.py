@@ -92,6 +92,7 @@ def up(
     log = json_log(services) if chosen is LogFormat.JSON else prefixed_log(console(), names)
     launcher = Launcher(services, log, partial(bring_to_rest, description, "deltaq up"))
     with shown_compiled_ahead(needed_by(services, description, cell)), launcher:
+        log("deltaq", f"starting {len(services)} services")
         launcher.start()
         log("deltaq", f"cell {description.cell} is up: {', '.join(service.name for service in services)}")
         if "hli" in launcher.ready:

@@ -17,6 +17,7 @@ from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
 
+from deltaq_cell.compiling import TELLS_EACH
 from deltaq_cell.description import CellDescription
 from deltaq_controllers.camera import FOLLOWS
 from deltaq_launch.child_process import start_with_lines
@@ -45,6 +46,16 @@ class Needed:
     controllers: Sequence[str] = ()
     by_hand: str | None = None
     gate: bool = True
+
+    @property
+    def functions(self) -> int:
+        """About how many functions are compiled, where none are kept."""
+        from deltaq_cell import __main__ as gate
+        from deltaq_controllers.camera import __main__ as camera
+        from deltaq_controllers.modes import __main__ as modes
+
+        by_hand = 0 if self.by_hand is None else modes.FUNCTIONS
+        return gate.FUNCTIONS * self.gate + camera.FUNCTIONS * len(self.controllers) + by_hand
 
 
 def needed_by(services: Sequence[Service], cell: CellDescription, cell_name: str) -> Needed:
@@ -123,7 +134,7 @@ def _compile(needed: Needed, on_function: Callable[[str], None]) -> None:
             listening = []
             for what, arguments in wanted.items():
                 # in its own session: Ctrl-C on the terminal reaches the waiting program, which ends it from here
-                compiler = start_with_lines([sys.executable, *arguments])
+                compiler = start_with_lines([sys.executable, *arguments], {TELLS_EACH: "1"})
                 compilers.append(compiler)
                 assert compiler.stdout is not None  # a pipe was asked for
                 warden.keep(compiler.pid, compiler.stdout.fileno())

@@ -7,11 +7,14 @@ import signal
 import subprocess
 import sys
 import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from deltaq_cell import machine_code
+from deltaq_cell.compiling import TELLS_EACH, compiling_shown
 from deltaq_cell.load import load_cell
 from deltaq_controllers.modes import __main__ as modes_compiler
 from deltaq_launch import prepare
@@ -115,6 +118,39 @@ def test_what_is_complete_for_one_controller_or_folder_is_not_for_another(tmp_pa
     assert not machine_code.is_complete(str(tmp_path / "other"), "paper", HERE)
     machine_code.mark_complete("", "paper", HERE)
     assert not machine_code.is_complete("", "paper", HERE)
+
+
+@pytest.mark.parametrize(("asked", "lines"), [(False, 3), (True, 30)])
+def test_a_compiler_counts_in_few_lines_unless_it_is_asked_for_every_function(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], asked: bool, lines: int
+) -> None:
+    @contextmanager
+    def compiles_thirty(tell: Callable[[str], None]) -> Iterator[None]:
+        for number in range(30):
+            tell(f"function_{number}")
+        yield
+
+    monkeypatch.setattr("deltaq_cell.compiled.told_of_compiling", compiles_thirty)
+    monkeypatch.delenv(TELLS_EACH, raising=False)
+    if asked:
+        monkeypatch.setenv(TELLS_EACH, "1")
+    with compiling_shown("the kernel", 40):
+        pass
+    told = capsys.readouterr().out.splitlines()
+    assert len(told) == lines
+    assert asked or told[-1] == "compiled the kernel: 30 functions"
+    assert told[0] == ("compiling function_0" if asked else "compiling the kernel: 0 of about 40 functions")
+
+
+def test_cells_of_the_same_arms_need_the_same_machine_code_of_their_modes(tmp_path: Path) -> None:
+    other = tmp_path / "other.yaml"
+    other.write_text("extends: lab\ntcp_port: 5999\n")
+    code = (
+        "import sys; from deltaq_controllers.modes import __main__ as modes\n"
+        "where, *cells = sys.argv[1:]; modes.folder = lambda _: where; modes.compile_ahead = print\n"
+        "for cell in cells: sys.argv[1:] = [cell]; modes.main()"
+    )
+    assert printed(code, str(tmp_path), "lab", str(other), "dawm") == "lab\ndawm\n"
 
 
 PRINTS_ITS_WORDS = "import sys; print('compiling {}', *sys.argv[1:])"

@@ -1,6 +1,6 @@
 """Compile the camera's laws, so that no start of a cell has to: `python -m deltaq_controllers.camera [NAME ...]`.
 
-Prints a line for each function that it compiles, and does nothing if all of them are stored from an earlier run.
+Prints how far it is, and does nothing if all is stored from an earlier run.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ from pathlib import Path
 from deltaq_cell.machine_code import folder, is_complete, mark_complete
 
 _PACKAGE = Path(__file__).parents[1]
+FUNCTIONS, FUNCTIONS_OF_ALL = 140, 220
+"""About as many are compiled for one law, and for all."""
 
 
 def main() -> int:
@@ -36,7 +38,7 @@ def compile_ahead(names: Sequence[str]) -> Sequence[str]:
     """Make the controllers of these names for the lab cell, all if there is none; returns which they were."""
     # heavy packages are imported only if something is left to do
     from deltaq_cell.cell_model import CellModel
-    from deltaq_cell.compiled import told_of_compiling
+    from deltaq_cell.compiling import compiling_shown
     from deltaq_cell.roles import camera_roles
     from deltaq_controllers.camera.controllers import NAMES, camera_controller_named
     from deltaq_controllers.camera.scene import Scene
@@ -45,7 +47,7 @@ def compile_ahead(names: Sequence[str]) -> Sequence[str]:
     cell = CellModel.load("lab")
     roles = camera_roles(cell.description)
     scene = Scene(cell, roles.follower, roles.leader)
-    with told_of_compiling(lambda function: print(f"compiling {function}", flush=True)):
+    with compiling_shown("the camera's laws", FUNCTIONS if len(chosen) == 1 else FUNCTIONS_OF_ALL):
         for name in chosen:
             camera_controller_named(name, scene, distance_m=1.25)
     return chosen

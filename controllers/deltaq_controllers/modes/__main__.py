@@ -1,19 +1,21 @@
 """Compile what driving by hand needs, so that no first lease has to: `python -m deltaq_controllers.modes [CELL]`.
 
-Prints a line for each function that it compiles, and does nothing if all of them are stored from an earlier run.
+Prints how far it is, and does nothing if all is stored from an earlier run.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 from pathlib import Path
 
-from deltaq_cell.identity import content_identity
 from deltaq_cell.load import load_cell
 from deltaq_cell.machine_code import folder, is_complete, mark_complete
 from deltaq_protocol.errors import DeltaqError
 
 _PACKAGE = Path(__file__).parents[1]
+FUNCTIONS = 140
+"""About as many are compiled."""
 
 
 def main() -> int:
@@ -24,8 +26,9 @@ def main() -> int:
     )
     cell: str = parser.parse_args().cell
     try:
-        # which functions a robot needs depends on its arms
-        name = f"modes-{content_identity(load_cell(cell)).content}"
+        # which functions a robot needs depends on its arms: cells of the same arms need the same
+        models = sorted({robot.model for robot in load_cell(cell).robots.values()})
+        name = f"modes-{hashlib.sha256(repr(models).encode()).hexdigest()[:16]}"
         where = folder(_PACKAGE)
         if not is_complete(where, name, _PACKAGE):
             compile_ahead(cell)
@@ -39,7 +42,7 @@ def compile_ahead(cell: str) -> None:
     """Drive every robot of the cell, on its model alone."""
     # heavy packages are imported only if something is left to do
     from deltaq_cell.cell_model import CellModel
-    from deltaq_cell.compiled import told_of_compiling
+    from deltaq_cell.compiling import compiling_shown
     from deltaq_cell.robot import RobotModel
     from deltaq_controllers.advisor.synchronous import SynchronousAdvisor
     from deltaq_controllers.modes.advisor import AdvisorMode, tracker_of
@@ -56,16 +59,12 @@ def compile_ahead(cell: str) -> None:
         return AdvisorMode(robot, cycle_s, SynchronousAdvisor(model, robot.name))
 
     modes = {**MODES, ModeName.ADVISOR: advisor_mode}
-    with told_of_compiling(_tell):
+    with compiling_shown("the modes of driving by hand", FUNCTIONS):
         for name, robot in model.robots.items():
             around = RobotSurroundings(model, name)
             teleoperator = Teleoperator(robot, cycle_s, modes=modes, surroundings=around)
             teleoperator.make_modes()
             practise(teleoperator)
-
-
-def _tell(function: str) -> None:
-    print(f"compiling {function}", flush=True)
 
 
 if __name__ == "__main__":
