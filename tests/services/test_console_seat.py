@@ -335,6 +335,15 @@ def test_a_second_tab_of_one_session_is_an_operator_of_its_own(bench, anna):
     assert anna.status(AWAY_S + 0.1).robots["fr"].lease.mine
 
 
+def test_a_page_that_gave_its_line_up_goes_on_by_a_new_one_before_the_old_ones_end_is_heard(bench):
+    client, outputs = bench.core.connect("Anna", True, bench.now_s, session="s1", page="p1")
+    anna = Browser(bench, client, bench.done(outputs))
+    anna.takes()
+    assert bench.core.connect("Anna", True, bench.now_s, session="s1", page="p1")[0] is client
+    assert bench.core.connect("Anna", True, bench.now_s, session="s1", page="p2")[0] is not client
+    assert anna.status(AWAY_S + 0.1).robots["fr"].lease.mine
+
+
 def test_operators_without_a_name_are_numbered_from_one(bench):
     for _ in range(3):
         nameless = comes(bench, "", "")

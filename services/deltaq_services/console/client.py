@@ -29,6 +29,7 @@ class Client:
         rate: bounds the rate of its messages.
         shows_replay: it shows a recording, and commands nothing but a stop.
         session: by which its page is known again when it is loaded anew; empty for none.
+        page: tells the page of this session from one that was loaded before or beside it.
         given_name: the name that it gave itself.
     """
 
@@ -40,6 +41,7 @@ class Client:
     rate: RateLimit = field(default_factory=lambda: RateLimit(MOST_MESSAGES_S))
     shows_replay: bool = False
     session: str = ""
+    page: str = ""
     given_name: str = ""
     _answers: OrderedDict[str, Ack] = field(default_factory=OrderedDict)
 

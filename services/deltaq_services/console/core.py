@@ -86,9 +86,14 @@ class ConsoleCore:
         self.drivers = DriverDesk(self.robots, self.clients, self._pending, self._log, self.counters)
 
     def connect(
-        self, name: str, is_operator: bool, now_s: float, address: str = "", session: str = ""
+        self, name: str, is_operator: bool, now_s: float, address: str = "", session: str = "", page: str = ""
     ) -> tuple[Client | None, list[ConsoleOutput]]:
         """A browser has connected; no client if there are too many."""
+        again = next((one for one in self.clients.values() if session and one.session == session), None)
+        if again is not None and page and again.page == page:
+            # the page has given its line up, and that line's end was not heard yet
+            self._away[session] = (now_s, self.clients.pop(again.number))
+            self.board.forget(again)
         if len(self.clients) >= MOST_CLIENTS:
             self.counters["clients_refused"] += 1
             return None, []
@@ -102,7 +107,7 @@ class ConsoleCore:
             client.session, client.given_name = "" if in_use else session, name
             self.counters["clients"] += 1
             self._log.add(now_s, "client", f"{client.name} has connected")
-        client.address, client.clocks, number = address, ClockOffset(), client.number
+        client.address, client.page, client.clocks, number = address, page, ClockOffset(), client.number
         self.clients[number] = client
         hello = ConsoleHello(
             console=self._process,

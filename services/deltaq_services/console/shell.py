@@ -151,10 +151,16 @@ class Console:
         return self._epoch_s + time.monotonic()
 
     async def serve(
-        self, connection: BrowserConnection, name: str, is_operator: bool, address: str, session: str = ""
+        self,
+        connection: BrowserConnection,
+        name: str,
+        is_operator: bool,
+        address: str,
+        session: str = "",
+        page: str = "",
     ) -> None:
         """Serve one browser until it has gone."""
-        client, outputs = self.core.connect(name, is_operator, self.now_s(), address, session)
+        client, outputs = self.core.connect(name, is_operator, self.now_s(), address, session, page)
         if client is None:
             return
         self._connections[client.number] = connection
@@ -162,8 +168,9 @@ class Console:
         try:
             await connection.serve(partial(self._take, client))
         finally:
-            del self._connections[client.number]
-            self._carry_out(self.core.disconnect(client, self.now_s()))
+            if self._connections.get(client.number) is connection:  # the page has no newer one
+                del self._connections[client.number]
+                self._carry_out(self.core.disconnect(client, self.now_s()))
 
     def _take(self, client: Client, message: str | bytes) -> None:
         before = self.core.stop.phase

@@ -145,11 +145,13 @@ def application(console: Console, settings: Settings) -> FastAPI:
             return
         await websocket.accept()
         name = websocket.query_params.get("name", "").strip()[:_LONGEST_NAME]
-        session = websocket.query_params.get("session", "")[:_LONGEST_SESSION]
+        session, page = (
+            websocket.query_params.get(key, "")[:_LONGEST_SESSION] for key in ("session", "page")
+        )
         address = websocket.client.host if websocket.client else ""
         is_operator = entrance is Entrance.OPERATOR
         shown = name if name.isprintable() else ""
-        await console.serve(BrowserConnection(websocket), shown, is_operator, address, session)
+        await console.serve(BrowserConnection(websocket), shown, is_operator, address, session, page)
 
     return app
 

@@ -9,9 +9,12 @@ import { coverStale, lightOrDark, showBar } from "./status_bar.js";
 import { bindStop, Stop } from "./stop.js";
 import { tellUndrawn } from "./undrawn.js";
 
+const random = () => [...crypto.getRandomValues(new Uint32Array(4))].map((part) => part.toString(16)).join("-");
+const PAGE = random(); // this load of the page
+
 /** By which the console knows this tab again when its page is loaded anew. */
 function session() {
-  const kept = remembered("session", "", "sessionStorage") || [...crypto.getRandomValues(new Uint32Array(4))].map((part) => part.toString(16)).join("-");
+  const kept = remembered("session", "", "sessionStorage") || random();
   remember("session", kept, "sessionStorage");
   return kept;
 }
@@ -19,7 +22,7 @@ function session() {
 /** Address of the live WebSocket; a token in the page's address goes with it, and the operator's name. */
 function liveUrl() {
   const token = new URLSearchParams(location.search).get("token");
-  const query = new URLSearchParams({ ...(token ? { token } : {}), name: remembered("operator", ""), session: session() });
+  const query = new URLSearchParams({ ...(token ? { token } : {}), name: remembered("operator", ""), session: session(), page: PAGE });
   return `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live?${query}`;
 }
 
