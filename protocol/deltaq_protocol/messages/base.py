@@ -13,15 +13,17 @@ LINE_VERSIONS = (1, 2, 3)
 MOST = 1e30
 """Greatest number in a message: what is computed from it, as a square or a rate, cannot overflow."""
 MOST_OF_A_JOINT = 1e6
-"""Greatest position, increment, speed or acceleration of a joint in a message [rad or m, per s, per s^2]."""
+"""Greatest position, increment, speed or acceleration of a joint in a message [rad or m, per s, per s^2]; so far from
+the origin may a point be [m], too."""
 Real = Annotated[float, Field(allow_inf_nan=False, ge=-MOST, le=MOST)]
 JointValue = Annotated[
     float, Field(strict=True, allow_inf_nan=False, ge=-MOST_OF_A_JOINT, le=MOST_OF_A_JOINT)
 ]
 Joints = Annotated[tuple[JointValue, ...], Field(min_length=1, max_length=32)]
-Vector3 = tuple[Real, Real, Real]
-Quaternion = tuple[Real, Real, Real, Real]
-Row = tuple[Real, Real, Real, Real]
+_Part = Annotated[float, Field(allow_inf_nan=False, ge=-MOST_OF_A_JOINT, le=MOST_OF_A_JOINT)]
+Vector3 = tuple[_Part, _Part, _Part]
+Quaternion = tuple[_Part, _Part, _Part, _Part]
+Row = tuple[_Part, _Part, _Part, _Part]
 PoseRows = tuple[Row, Row, Row, Row]
 """A homogeneous matrix, row by row."""
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[a-z][a-z0-9_-]*$")]
