@@ -59,7 +59,7 @@ class ModelCheck:
                     yield self._at(("robots", robot.name, "joints", name, field), message, given, allowed)
 
     def _tolerances(self, robot: RobotModel) -> Iterator[Problem]:
-        """No joint that is off by its tolerance moves the tool by more than the stop distance."""
+        """No joint's tolerance alone makes the gate keep the tool twice as far away."""
         stop = self._cell.gate.stop_distance_m
         for index, (name, joint) in enumerate(robot.description.joints.items(), start=1):
             lever = _lever(robot, index) if joint.revolute else 1.0
@@ -68,8 +68,8 @@ class ModelCheck:
                 factor = math.degrees(1.0) if joint.revolute else 1.0
                 value, bound = joint.tracking_tolerance * factor, round(stop / lever * factor, 3)
                 message = (
-                    f"{value:g} lets this joint alone carry the tool {joint.tracking_tolerance * lever:.3f} m off its "
-                    f"path, more than the stop distance of {stop:g} m; at most {bound:g} is sound"
+                    f"{value:g} makes the gate keep the tool {joint.tracking_tolerance * lever:.3f} m further from "
+                    f"everything, more than the stop distance of {stop:g} m; give at most {bound:g}"
                 )
                 place = ("robots", robot.name, "joints", name, field)
                 yield self._at(place, message, value, bound, severity="warning")
@@ -108,10 +108,10 @@ class ModelCheck:
                         )
 
     def _homes(self, cell: CellModel) -> Iterator[Problem]:
-        """With every robot at home, no two bodies are nearer than their stop distance."""
+        """With every robot at home or off it by its tolerances, no two bodies are nearer than their stop distance."""
         proximity = ProximityEngine(cell)
         for name, robot in cell.robots.items():
-            proximity.place(name, robot.home, np.zeros(robot.n))
+            proximity.place(name, robot.home, robot.description.tracking_tolerance)
         groups = [(name, group) for name in cell.robots for group in proximity.alone[name]]
         for first, second in combinations(cell.robots, 2):
             groups += [(second, group) for group in proximity.between[first, second]]
@@ -121,7 +121,7 @@ class ModelCheck:
                 one, other = group.nearest().pair
                 remedy = _remedy(cell.robots[name], ordered(one, other), group.stop_distance_m)
                 message = (
-                    f"at home {one} and {other} are {distance:g} m apart, nearer than the stop distance of "
+                    f"at home {one} and {other} may be {distance:g} m apart, nearer than the stop distance of "
                     f"{group.stop_distance_m:g} m; {remedy}"
                 )
                 yield self._at(("robots", name, "joints"), message, distance, group.stop_distance_m)

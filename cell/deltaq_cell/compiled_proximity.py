@@ -22,7 +22,7 @@ from deltaq_cell.kernel.gap import ROUNDING_M
 from deltaq_cell.kernel.look import NONE, look, separate_pairs
 from deltaq_cell.kernel.pieces import Tube, stack_of
 from deltaq_cell.kernel.place import place, spread
-from deltaq_cell.kernel.span import span_around
+from deltaq_cell.kernel.span import off_hull, span_around, widths
 from deltaq_cell.meter import Meter
 from deltaq_cell.paired_groups import PairedGroups, pairs_alone, part_of
 from deltaq_cell.proximity import DistanceQuery, ProximityEngine, within_box
@@ -96,10 +96,11 @@ class CompiledProximity(ProximityEngine):
             pairs = self._as_listed(groups).pairs
             separate_pairs(self._anatomy, self._where, pairs, np.arange(0), 0.0, self._found)
         for name, (middle, *_) in self._spans.items():
-            tube = self.whole_tube(name, middle[None], 0, 0, 0)
+            tube = self.whole_tube(name, middle[None], 0, 0, 0, np.ones_like(middle), 0.0)
             self.certify(tube, None, self.alone[name], 0.0, 0)
             self.decisions.compile(name, tube)
         span_around(self._q[None])
+        off_hull(self._q[None], self._q, widths(self._q[None], self._q, 0.0) + 1.0)
 
     def place(
         self, robot: str, q: Array, half: Array, offsets: Array | None = None, deviation: Array | None = None
@@ -156,7 +157,9 @@ class CompiledProximity(ProximityEngine):
             open_ = np.setdiff1d(open_, kept)
         return DistanceQuery(part_of(listed, open_) if open_.size else [], too_near, *told)
 
-    def whole_tube(self, robot: str, points: Array, lag: int, first: int, last: int) -> Tube:
+    def whole_tube(
+        self, robot: str, points: Array, lag: int, first: int, last: int, tolerance: Array, spread: float
+    ) -> Tube:
         """A robot's tube as the kernel takes it.
 
         Args:
@@ -165,8 +168,10 @@ class CompiledProximity(ProximityEngine):
             lag: how many setpoints back the drives may be.
             first: the first window.
             last: the last window.
+            tolerance: (n,) how far each joint may be beside the hull of its setpoints at rest [rad or m].
+            spread: half of the greatest difference between the lags of two joints [cycles].
         """
-        return Tube(points, lag, first, last, *self._ranges[robot])
+        return Tube(points, lag, first, last, tolerance, spread, *self._ranges[robot])
 
     def keep_a_depth(self, groups: Sequence[Group], room_m: float) -> bool:
         """Whether bodies that may be in one another are asked to get no deeper, which only coal can tell."""

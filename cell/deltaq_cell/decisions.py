@@ -98,10 +98,8 @@ class Decisions:
 
     def compile(self, robot: str, tube: Tube) -> None:
         """Ask everything once, so that no decision waits for machine code."""
-        course = self.course(
-            robot, tube.points, 0, 0, tube.points[0], tube.points[0], np.ones(tube.points.shape[1]), 0
-        )
         still = np.zeros(tube.points.shape[1])
+        course = self.course(robot, tube, still, still, still + 1.0, 0)
         keeps_limits(still, still, still, still, still, still + 1.0, still, still, 0.0, 0.0)
         course_points(tube.points, tube.points[:0], still, 1, 0)
         against = self.against(robot, [])
@@ -111,9 +109,7 @@ class Decisions:
     def course(
         self,
         robot: str,
-        before: Array,
-        now: int,
-        lag: int,
+        before: Tube,
         brake: Array,
         request: Array,
         max_dv: Array,
@@ -123,18 +119,27 @@ class Decisions:
 
         Args:
             robot: its name.
-            before: (k, n) setpoints, past and in flight [rad or m].
-            now: which of them is the present one.
-            lag: how many setpoints back the drives may be.
+            before: its tube without the request; its points are the setpoints past and in flight.
             brake: (n,) increment at a share of 0 [rad or m].
             request: (n,) increment at a share of 1.
             max_dv: (n,) largest change of the increment between two cycles.
             longest_cycles: length of the longest brake after any share that is asked for.
         """
-        points = np.empty((len(before) + longest_cycles, before.shape[1]))
-        points[: len(before)] = before
+        count = len(before.points)
+        points = np.empty((count + longest_cycles, before.points.shape[1]))
+        points[:count] = before.points
         return Course(
-            points, len(before), now, lag, brake, request, max_dv, np.empty_like(brake), *self._ranges[robot]
+            points,
+            count,
+            before.first,
+            before.lag,
+            before.tolerance,
+            before.spread,
+            brake,
+            request,
+            max_dv,
+            np.empty_like(brake),
+            *self._ranges[robot],
         )
 
     def asks_a_depth(self, room_m: float) -> bool:
@@ -151,7 +156,11 @@ class Decisions:
             asked = _range(self._between[robot, name])
             windows = (tube.lag, tube.first, tube.last)
             rows.append((begin, end, *windows, *tube.joints, *tube.bodies, *asked, self._number[name]))
-        return Against(self._side_by_side([tube.points for _, tube in others]), np.array(rows, np.int64))
+        tolerance, spread = np.zeros((len(rows), self._widest)), np.zeros(len(rows))
+        for number, (_, tube) in enumerate(others, start=1):
+            tolerance[number, : len(tube.tolerance)], spread[number] = tube.tolerance, tube.spread
+        points = self._side_by_side([tube.points for _, tube in others])
+        return Against(points, np.array(rows, np.int64), tolerance, spread)
 
     def certify(
         self, robot: str, mine: Tube, against: Against, room_m: float, budget: int, tells: bool

@@ -216,13 +216,17 @@ class GateEntry(Message):
 
 
 class TrackerMemory(Message):
-    """Snapshot of one robot's motion in the gate: its newest state and the setpoints before it."""
+    """Snapshot of one robot's motion in the gate: its newest state and the setpoints before it.
+
+    `passed` says of each setpoint whether a cycle of the drives passed with it; if it is empty, one did with each.
+    """
 
     state: ServerState | None = None
     ended_processes: tuple[Count, ...] = ()
     in_flight: tuple[Admission, ...] = ()
     missed: Count = 0
     history: tuple[Joints, ...] = ()
+    passed: tuple[bool, ...] = ()
 
 
 class OrdersMemory(Message):

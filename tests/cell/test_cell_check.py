@@ -147,8 +147,8 @@ def test_a_console_has_a_port_of_its_own(tmp_path: Path) -> None:
 
 
 def test_a_tolerance_wider_than_the_stop_distance_is_a_warning(tmp_path: Path) -> None:
-    old = "max_acceleration_rad_s2: 10.9, tracking_tolerance_deg: 1"
-    path, _ = checked(tmp_path, (old, old.replace("_deg: 1", "_deg: 2")))
+    old = "max_acceleration_rad_s2: 10.9, tracking_tolerance_deg: 0.05"
+    path, _ = checked(tmp_path, (old, old.replace("0.05", "2")))
     report = check_cell(path)
     (problem,) = report.problems
     assert report.ok

@@ -136,7 +136,7 @@ def test_a_hand_cannot_take_the_name_of_another_frame(tmp_path: Path, name: str)
 
 def test_a_tolerance_too_wide_for_the_longer_of_two_arms_is_told(tmp_path: Path) -> None:
     wide = "max_acceleration_rad_s2: 1, tracking_tolerance_deg: 5}"
-    path = write(tmp_path, "max_acceleration_rad_s2: 1, tracking_tolerance_deg: 0.5}", wide)
+    path = write(tmp_path, "max_acceleration_rad_s2: 1, tracking_tolerance_deg: 0.001}", wide)
     (problem,) = check_cell(path).warnings
     # 0.05 m at 0.35 + 0.45 + 0.25 + 0.12 + 0.84 + 0.48 + 0.17 + 0.31 m
     assert problem.bound == pytest.approx(np.rad2deg(0.05 / 2.97), abs=1e-3)

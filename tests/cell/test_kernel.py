@@ -269,7 +269,8 @@ for _ in range(4):
     proximity.place("dawm", q, half, offsets, np.full(robot.n, 0.002))
     look = proximity.look(proximity.alone["dawm"], 0.02)
     print(look.too_near, *look.tightest.pair, *proximity._found.open.astype(int), *proximity._found.normal.ravel())
-    tube = proximity.whole_tube("dawm", np.array([q, q + direction, q + 2 * direction + 0.01]), 1, 0, 3)
+    points = np.array([q, q + direction, q + 2 * direction + 0.01])
+    tube = proximity.whole_tube("dawm", points, 1, 0, 3, np.full(robot.n, 1e-3), 0.5)
     told = proximity.certify(tube, None, proximity.alone["dawm"], 0.001, 50)
     print(told.holds, *told.tightest.pair, told.left, told.tightest.swept_m)
 """

@@ -1,13 +1,15 @@
 """A span holds all points that it was made for, and is no wider than they ask for."""
 
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from spans import is_inside
 
-from deltaq_cell.kernel.span import SHORTEST, VERTICES, span_around
+from deltaq_cell.kernel.span import SHORTEST, VERTICES, off_hull, span_around, widths
 
 
 def beside(points, start, end):
@@ -98,3 +100,31 @@ def test_what_is_left_of_a_curve_without_vertices_is_what_the_span_is_wide():
     assert len(offsets) == VERTICES
     assert 0.0 < deviation.max() < 0.02
     np.testing.assert_allclose(half, [(1 - np.cos(1)) / 2, np.sin(1) / 2])
+
+
+def test_a_width_is_the_tolerance_and_what_the_spread_makes_of_the_fastest_step():
+    points = np.array([[0.0, 1.0], [0.1, 1.0], [0.4, 0.8]])
+    np.testing.assert_allclose(widths(points, np.array([0.01, 0.02]), 0.5), [0.16, 0.12])
+    np.testing.assert_allclose(widths(points[:1], np.array([0.01, 0.02]), 0.5), [0.01, 0.02])
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 16), st.integers(1, 9))
+def test_what_is_found_beside_a_hull_is_what_a_programme_finds_or_less_than_the_width(seed, count, joints):
+    random = np.random.default_rng(seed)
+    points = np.cumsum(random.normal(size=(count, joints)), axis=0)
+    width = random.uniform(0.01, 1.0, joints)
+    q = random.dirichlet(np.full(count, 0.5)) @ points + random.normal(size=joints) * random.choice(
+        [0.0, 0.3, 3.0]
+    )
+    off = np.abs(off_hull(points, q, width))
+    if count == 1:
+        np.testing.assert_allclose(off, np.abs(q - points[0]))
+    # the search never says that a robot is on its hull that is not
+    if (off <= width).all():
+        assert is_inside(SimpleNamespace(middle=0.0, offsets=points, deviation=width), q, 1e-6)
+    # and where it says that it is off, no point of the hull is nearer in squares of the width
+    else:
+        assert not is_inside(
+            SimpleNamespace(middle=0.0, offsets=points, deviation=width / np.sqrt(joints)), q, -1e-6
+        )

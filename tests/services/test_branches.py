@@ -2,12 +2,16 @@
 
 import numpy as np
 import pytest
+from spans import exact_drives
 
 from deltaq_services.sim.tube import Branch, Windows, tube
 
 HERE = np.array([1.0, 2.0])
 DQ = np.array([0.4, -0.8])
 LAG = 3
+
+
+DRIVES = exact_drives(LAG)
 
 
 def rising(count):
@@ -39,29 +43,29 @@ def test_a_branch_behind_what_is_in_flight_goes_on_from_the_end_of_that(count):
 
 
 def test_a_tube_holds_the_last_setpoints_and_those_to_come():
-    piece = tube(rising(3), Branch(DQ, 2, -1), LAG)
+    piece = tube(rising(3), Branch(DQ, 2, -1), DRIVES)
     np.testing.assert_allclose(piece.points, [*rising(3), HERE + DQ, HERE + 1.5 * DQ])
-    assert piece.lag == LAG
+    assert piece.drives.lag == LAG
 
 
 def test_a_tube_reaches_from_the_present_window_to_the_one_in_which_the_drives_have_settled():
-    piece = tube(rising(3), Branch(DQ, 2, -1), LAG)
+    piece = tube(rising(3), Branch(DQ, 2, -1), DRIVES)
     assert (piece.first, piece.last) == (2, 4 + LAG)
 
 
 def test_where_the_robot_is_comes_first_in_a_tube_that_its_setpoints_do_not_explain():
     measured = np.array([5.0, 5.0])
-    piece = tube(rising(3), Branch(DQ, 2, -1), LAG, measured)
+    piece = tube(rising(3), Branch(DQ, 2, -1), DRIVES, measured)
     np.testing.assert_allclose(piece.points[:2], [measured, rising(3)[0]])
     assert (piece.first, piece.last) == (3, 5 + LAG)
 
 
 def test_drives_that_still_settle_have_windows_to_come_and_a_robot_at_rest_has_one():
-    settling = tube(rising(3), Branch(np.zeros(2), 1, 0), LAG)
+    settling = tube(rising(3), Branch(np.zeros(2), 1, 0), DRIVES)
     assert (settling.first, settling.last) == (2, 2 + LAG)
-    one_joint = tube(np.array([[1.0, 1.9], [1.0, 2.0]]), Branch(np.zeros(2), 1, 0), LAG)
+    one_joint = tube(np.array([[1.0, 1.9], [1.0, 2.0]]), Branch(np.zeros(2), 1, 0), DRIVES)
     assert (one_joint.first, one_joint.last) == (1, 1 + LAG)
-    at_rest = tube(np.tile(HERE, (3, 1)), Branch(np.zeros(2), 1, 0), LAG)
+    at_rest = tube(np.tile(HERE, (3, 1)), Branch(np.zeros(2), 1, 0), DRIVES)
     assert (at_rest.first, at_rest.last) == (2, 2)
 
 
@@ -89,27 +93,27 @@ def ends(piece):
     ],
 )
 def test_a_window_holds_its_setpoint_and_as_many_before_it_as_the_drives_lag(first, last, held):
-    assert ends(Windows(LINE, 2, first, last)) == list(held)
+    assert ends(Windows(LINE, exact_drives(2), first, last)) == list(held)
 
 
 @pytest.mark.parametrize(
     ("last", "halves"), [(7, [(4, 5), (6, 7)]), (6, [(4, 5), (6, 6)]), (5, [(4, 4), (5, 5)])]
 )
 def test_windows_are_halved_so_that_each_is_in_one_half(last, halves):
-    assert [(half.first, half.last) for half in Windows(BENT, 2, 4, last).halves()] == halves
+    assert [(half.first, half.last) for half in Windows(BENT, exact_drives(2), 4, last).halves()] == halves
 
 
 def test_windows_along_one_line_are_halved_as_the_line():
-    left, right = Windows(LINE, 2, 4, 7).halves()
+    left, right = Windows(LINE, exact_drives(2), 4, 7).halves()
     assert (ends(left), ends(right)) == ([2, 4.5], [4.5, 7])
 
 
 def test_a_single_window_is_halved_along_its_line():
-    left, right = Windows(LINE, 2, 5, 5).halves()
+    left, right = Windows(LINE, exact_drives(2), 5, 5).halves()
     assert ends(left) == [3, 4]
     assert ends(right) == [4, 5]
 
 
 def test_a_robot_that_was_heard_once_is_where_it_said():
-    piece = tube(HERE[None], Branch(np.zeros(2), 1, 0), LAG)
+    piece = tube(HERE[None], Branch(np.zeros(2), 1, 0), DRIVES)
     assert (len(piece.points), piece.first, piece.last) == (1, 0, 0)

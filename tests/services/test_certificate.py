@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from spans import exact_drives
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.compiled_proximity import CompiledProximity
@@ -31,14 +32,14 @@ def oracle(cell):
 
 
 def at_rest(q):
-    return tube(np.tile(q, (LAG, 1)), Branch(np.zeros_like(q), 1, 1), LAG)
+    return tube(np.tile(q, (LAG, 1)), Branch(np.zeros_like(q), 1, 1), exact_drives(LAG, q.size))
 
 
 def moving(cell, name, q, dq):
     cycle_s = cell.description.cycle_s
     cycles = Limits.of(cell.robots[name].description, cycle_s).brake_cycles(dq)
     history = q - dq * np.arange(LAG - 1, -1, -1)[:, None]
-    return tube(history, Branch(dq, cycles, -1), LAG)
+    return tube(history, Branch(dq, cycles, -1), exact_drives(LAG, q.size))
 
 
 def test_the_homes_are_certified_with_the_distance_the_oracle_measures(cell, proximity, oracle):
@@ -128,5 +129,7 @@ def test_the_order_of_the_queries_changes_no_bit(cell, proximity):
 
 def test_an_empty_budget_means_no(cell, proximity):
     q = cell.robots["fr"].home
-    far = Span.around(np.array([q, np.clip(q + 1.0, cell.robots["fr"].lower, cell.robots["fr"].upper)]))
+    far = Span.around(
+        np.array([q, np.clip(q + 1.0, cell.robots["fr"].lower, cell.robots["fr"].upper)]), np.zeros(6), 0.0
+    )
     assert not Certifier(proximity, budget=0).certify("fr", far, []).holds

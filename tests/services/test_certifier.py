@@ -14,6 +14,7 @@ from gate_bench import (
     one_joint,
     with_room,
 )
+from spans import exact_drives
 
 from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_services.sim.certificate import Certifier
@@ -29,7 +30,7 @@ def standing(name, q):
 
 def path(start, end, count=40):
     """Windows of a robot whose drives do not lag, along a straight line."""
-    return Windows(np.linspace(start, end, count), 0, 0, count - 1)
+    return Windows(np.linspace(start, end, count), exact_drives(0, len(start)), 0, count - 1)
 
 
 @pytest.fixture(params=[Certifier, CompiledCertifier])
@@ -93,7 +94,7 @@ def test_a_path_that_begins_or_ends_too_near_to_another_robot_is_not_certified_w
 def there_and_back(start, far, end):
     """Windows of a robot that goes away and comes back to somewhere else."""
     points = np.vstack([np.linspace(start, far, 20), np.linspace(far, end, 20)])
-    return Windows(points, 0, 0, len(points) - 1)
+    return Windows(points, exact_drives(0, len(start)), 0, len(points) - 1)
 
 
 def test_each_part_of_a_path_that_comes_near_twice_is_looked_at(certify):
@@ -212,7 +213,7 @@ def test_pairs_that_are_left_out_are_neither_judged_nor_told(certifier):
 
 def corner(first, second, third):
     """One window around a corner, which no division along it makes narrow."""
-    return Windows(np.array([first, second, third]), 2, 2, 2)
+    return Windows(np.array([first, second, third]), exact_drives(2, len(first)), 2, 2)
 
 
 def test_what_cannot_be_divided_further_is_certified_as_it_is_or_not_at_all(certify, fails_again):

@@ -8,6 +8,7 @@ import pytest
 from gate_bench import CELL, HOME, LIMITS, PROXIMITY, at_rest, in_motion, one_joint
 from hypothesis import given
 from hypothesis import strategies as st
+from spans import exact_drives
 
 from deltaq_cell.decisions import Decisions
 from deltaq_cell.kernel.course import lay_course
@@ -39,6 +40,16 @@ def cornered():
         limits, brake, request = LIMITS[robot.name], robot.brake(), np.array(situation.request.dq)
         scale, _ = limits.scale(brake, request, robot.ahead.dq, robot.ahead.q_cmd)
         yield Blend(robot, limits, brake, request, scale), tubes
+
+
+def course_of(blend):
+    """A blend's courses as the kernel takes them."""
+    before, name = blend.robot.before(), blend.robot.name
+    drives = before.drives
+    tube = PROXIMITY.whole_tube(
+        name, before.points, drives.lag, before.first, before.last, drives.tolerance, drives.spread
+    )
+    return blend.course(PROXIMITY.decisions, tube)
 
 
 def told(certificate):
@@ -125,17 +136,19 @@ DQ = 3 * one_joint("fr", 0, LIMITS["fr"].max_dv[0])
 @pytest.mark.parametrize("request_", [np.zeros(6), 2 * DQ, -LIMITS["fr"].max_dq, DQ[::-1] * 4])
 def test_the_kernel_lays_the_same_course_to_the_bit(robot, request_):
     blend = Blend(robot, LIMITS["fr"], robot.brake(), request_, 0.9)
-    course = blend.course(PROXIMITY.decisions)
+    course = course_of(blend)
     for share in (0.9, 0.0, 0.9 / 32, 0.45, 0.71):
         laid, expected = lay_course(course, share), blend.tube(share)
         np.testing.assert_array_equal(laid.points, expected.points)
-        assert (laid.lag, laid.first, laid.last) == (expected.lag, expected.first, expected.last)
+        drives = expected.drives
+        assert (laid.lag, laid.first, laid.last) == (drives.lag, expected.first, expected.last)
+        assert (laid.tolerance is drives.tolerance, laid.spread) == (True, drives.spread)
 
 
 def test_a_brake_for_which_no_room_was_made_is_not_laid():
     robot = at_rest("fr", HOME["fr"])
     blend = Blend(robot, LIMITS["fr"], robot.brake(), 9 * DQ, 0.2)
-    course = blend.course(PROXIMITY.decisions)
+    course = course_of(blend)
     lay_course(course, 0.2)
     with pytest.raises(IndexError):
         lay_course(course, 1.0)
@@ -152,7 +165,7 @@ def test_setpoints_are_those_of_the_branch_to_the_bit(dq, cycles, step, in_path)
     points, moves = course_points(past, np.array(path).reshape(-1, 6), dq, cycles, step)
     np.testing.assert_array_equal(points, np.concatenate((past, branch.setpoints(past[-1]))))
     assert moves
-    np.testing.assert_array_equal(tube(past, branch, 2).points, points)
+    np.testing.assert_array_equal(tube(past, branch, exact_drives(2, 6)).points, points)
 
 
 def test_a_course_that_stands_does_not_move():

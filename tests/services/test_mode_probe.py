@@ -22,6 +22,7 @@ from deltaq_services.robot_server.mode_probe import (
 from deltaq_services.robot_server.probe_trial import (
     PROBE_M,
     PROBE_RAD,
+    SHARE_OF_TOLERANCE,
     Mode,
     Trial,
     joint_modes,
@@ -319,18 +320,18 @@ def test_a_loss_far_from_a_pulse_costs_no_trial(at):
     assert arm.trial(TRIAL - at - 1).known
 
 
-def test_no_joint_is_displaced_by_more_than_a_tenth_of_its_tracking_tolerance():
+def test_no_joint_is_displaced_by_more_than_a_share_of_its_tracking_tolerance():
     fields = GR.model_dump(exclude_unset=True)
-    fields["joints"]["a1"]["tracking_tolerance_deg"] = 0.05
+    fields["joints"]["a1"]["tracking_tolerance_deg"] = 0.01
     robot = RobotDescription.model_validate(fields)
     probe = ModeProbe(robot, 0.012, 6, robot.home)
     total = np.zeros(9)
     for count in range(14):
         probe.cycle(robot.home, 12 * count, False)
         total += probe.added_to(np.zeros(9))
-    assert np.degrees(total[3]) == pytest.approx(0.005)
+    assert np.degrees(total[3]) == pytest.approx(0.01 * SHARE_OF_TOLERANCE)
     assert np.degrees(total[4]) == pytest.approx(0.03)
-    assert (total <= 0.1 * robot.tracking_tolerance).all()
+    assert (total <= SHARE_OF_TOLERANCE * robot.tracking_tolerance).all()
 
 
 class Drives(Arm):

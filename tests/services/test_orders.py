@@ -8,6 +8,7 @@ from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.orders import Orders
 from deltaq_services.sim.tracker import Tracker
+from deltaq_services.sim.tube import Drives
 
 LAG = 4
 CYCLE_S = small_cell().cycle_s
@@ -21,7 +22,9 @@ class Rig:
 
     def __init__(self, robot="fr"):
         self.robot = robot
-        self.tracker = Tracker(robot, small_cell().robots[robot], CYCLE_S, LAG)
+        description = small_cell().robots[robot]
+        drives = Drives(LAG - 1, description.tracking_tolerance.copy(), 0.0)
+        self.tracker = Tracker(robot, description, drives, CYCLE_S)
         self.orders = Orders(self.tracker, HLI_TIMEOUT)
         self.cycle = 100
 

@@ -110,7 +110,7 @@ def test_what_is_admitted_begins_where_the_brake_goes_on_and_not_beyond_it():
 
 def test_a_violation_lasts_until_the_drives_have_left_it_too():
     known = violations_of(at_rest("fr", above_the_floor(-2e-3)))
-    leaving = in_motion("fr", above_the_floor(4e-3), 0.5 * OUT)
+    leaving = in_motion("fr", above_the_floor(5e-3), 0.5 * OUT)
     assert find(leaving, OUT, violations=known)[0] == 1.0
     assert known.kept_m(frozenset(FLOOR.split())) is not None
 

@@ -360,7 +360,7 @@ def test_what_is_no_telegram_is_an_error_and_changes_nothing(krc):
 
 def test_a_krc_that_comes_back_after_another_one_was_believed_still_has_its_correction():
     krc = KrcSide().begin()
-    krc.cycle(krc.admission(0.5 * MAX_DV))
+    krc.cycle(krc.admission(0.05 * MAX_DV))
     for _ in range(20):
         krc.cycle()
     kept = krc.correction.copy()

@@ -115,8 +115,7 @@ def test_the_gate_s_times_are_whole_cycles_that_are_not_shorter(rig):
     for _ in range(20):
         rig.cycle()
     lag_cycles = math.ceil(GATE.servo_lag_s / CYCLE_S)
-    assert lag_cycles > 2
-    assert len(rig.sim.robots["fr"].tracker.standing().points) == lag_cycles
+    assert len(rig.sim.robots["fr"].tracker.standing().points) == lag_cycles + 1
     rig.alive()
     for _ in range(math.ceil(GATE.hli_timeout_s / CYCLE_S)):
         rig.cycle()

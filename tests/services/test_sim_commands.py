@@ -81,12 +81,14 @@ def test_the_reply_to_a_dry_run_says_in_words_what_is_in_its_way(rig):
     assert told(rig.sim, **fields) == (False, ReasonCode.STOPPED, "fr is ready")
 
 
-def test_a_dry_run_of_a_robot_s_first_cycle_is_judged(rig):
+def test_a_new_gate_decides_nothing_before_it_knows_every_setpoint_that_the_drives_may_be_at(rig):
     sim = Sim(CELL, epoch=5)
-    for server in rig.servers.values():
-        sim.on_state(server.state.model_copy(update={"cycle": 1}))
-    (output,) = sim.on_command(bound(sim, kind="dry_run", robot="fr", dq=SMALL))
-    assert (output.message.verdict.seq, output.message.verdict.cycle) == (0, 1)
+    cycles = sim.robots["fr"].tracker.drives.lag + 1
+    for cycle in range(1, cycles + 1):
+        for server in rig.servers.values():
+            sim.on_state(server.state.model_copy(update={"cycle": cycle}))
+        answer = told(sim, kind="dry_run", robot="fr", dq=SMALL)
+        assert answer == ((False, ReasonCode.NOT_READY, "fr: fr") if cycle < cycles else (True, None, ""))
 
 
 def test_a_held_robot_is_told_so_in_a_dry_run(rig):

@@ -6,16 +6,19 @@ from small_cell import server_state, small_cell
 
 from deltaq_protocol.guarded import Admission, Plan
 from deltaq_services.sim.tracker import Tracker
+from deltaq_services.sim.tube import Drives, drives_of
 
 LAG = 4
+"""Setpoints that the drives may be at."""
 CELL = small_cell()
 CYCLE_S = CELL.cycle_s
 FR, GR = CELL.robots["fr"], CELL.robots["gr"]
+FR_DRIVES = Drives(LAG - 1, FR.tracking_tolerance.copy(), 0.0)
 
 
 @pytest.fixture
 def tracker():
-    return Tracker("fr", FR, CYCLE_S, LAG)
+    return Tracker("fr", FR, FR_DRIVES, CYCLE_S)
 
 
 def state(cycle, q_cmd=0.1, q=None, **changes):
@@ -72,7 +75,10 @@ def test_a_robot_server_that_began_anew_is_followed_from_there(tracker):
         tracker.observe(state(cycle, 0.2, time_s=5.0 + cycle))
     tracker.admitted(admission(9))
     assert tracker.observe(state(1, 0.5, process=2))
-    np.testing.assert_array_equal(first_joint(tracker.standing()), [0.5])
+    np.testing.assert_allclose(first_joint(tracker.standing()), [0.2, 0.2, 0.2, 0.201, 0.2015, 0.5])
+    for cycle in range(2, 1 + LAG):
+        tracker.observe(state(cycle, 0.5, process=2))
+    assert set(first_joint(tracker.standing())) == {0.5}
     assert (tracker.in_flight, tracker.missed) == ((), 0)
 
 
@@ -174,7 +180,7 @@ def test_the_tubes_of_setpoints_hold_every_course_and_not_where_the_robot_is_mea
         pytest.approx([0.1] * LAG + [0.102, 0.103]),
         pytest.approx([0.1] * LAG + [0.11, 0.115]),
     ]
-    assert {tube.lag for tube in tracker.tubes_of_setpoints()} == {LAG}
+    assert {tube.drives.lag for tube in tracker.tubes_of_setpoints()} == {LAG - 1}
 
 
 def test_a_robot_stands_still_while_it_is_at_rest_and_nothing_is_on_its_way_to_it(tracker):
@@ -248,18 +254,20 @@ def test_a_robot_is_at_rest_when_its_drives_have_caught_up_and_nothing_is_left_t
     assert not tracker.at_rest()
 
 
-def test_even_quick_drives_are_given_two_cycles():
-    quick = Tracker("fr", FR, CYCLE_S, 1)
-    quick.observe(state(1))
-    assert not quick.at_rest()
-    quick.observe(state(2))
-    assert quick.at_rest()
+@pytest.mark.parametrize(("lag_s", "setpoints"), [(1e-9, 2), (0.012, 2), (0.072, 7), (0.0721, 8), (0.12, 11)])
+def test_the_present_setpoint_and_every_one_of_the_lag_before_it_are_kept(lag_s, setpoints):
+    gate = CELL.gate.model_copy(update={"servo_lag_s": lag_s})
+    tracker = Tracker("fr", FR, drives_of(FR, gate, CYCLE_S), CYCLE_S)
+    for cycle in range(1, 20):
+        tracker.observe(state(cycle, cycle / 10))
+        assert tracker.is_known is (cycle >= setpoints)
+    np.testing.assert_allclose(first_joint(tracker.standing())[[0, -1]], [(20 - setpoints) / 10, 1.9])
 
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_joint_may_be_off_its_path_by_its_tolerance_and_no_more(sign):
     tolerance = FR.tracking_tolerance[0]
-    tracker = Tracker("fr", FR, CYCLE_S, LAG)
+    tracker = Tracker("fr", FR, FR_DRIVES, CYCLE_S)
     tracker.observe(state(1, 0.0, sign * tolerance))
     assert tracker.off_path() is None
     tracker.observe(state(2, 0.0, sign * tolerance * 1.01))
@@ -286,7 +294,7 @@ def test_the_joint_off_its_path_is_the_one_furthest_beyond_its_own_tolerance():
     q = np.zeros(9)
     q[lesser], q[greater] = 1.9 * tolerance[lesser], 1.2 * tolerance[greater]
     assert q[greater] > q[lesser]
-    tracker = Tracker("gr", GR, CYCLE_S, LAG)
+    tracker = Tracker("gr", GR, Drives(LAG - 1, GR.tracking_tolerance.copy(), 0.0), CYCLE_S)
     tracker.observe(server_state("gr", 1, q_cmd=(0.0,) * 9, q=tuple(q)))
     assert tracker.off_path()[0] == lesser
 
@@ -301,7 +309,7 @@ def test_a_tracker_goes_on_from_what_another_remembers(tracker):
     assert (memory.missed, memory.ended_processes) == (LAG - 1, (0,))
     assert memory.history == tuple((cycle / 10,) * 6 for cycle in range(1, LAG + 1))
     assert (memory.state, memory.in_flight) == (tracker.state, tracker.in_flight)
-    heir = Tracker("fr", FR, CYCLE_S, LAG)
+    heir = Tracker("fr", FR, FR_DRIVES, CYCLE_S)
     heir.observe(state(99, 5.0))
     heir.restore(memory)
     assert heir.snapshot() == memory
@@ -310,7 +318,7 @@ def test_a_tracker_goes_on_from_what_another_remembers(tracker):
 
 def two_in_flight():
     """A robot with a lookahead, and two admissions that follow one another."""
-    tracker = Tracker("fr", FR, CYCLE_S, LAG, lookahead_cycles=3)
+    tracker = Tracker("fr", FR, FR_DRIVES, CYCLE_S, lookahead_cycles=3)
     tracker.observe(state(1))
     first = admission(2)
     follows = {"follows_sequence": 2, "follows_q_cmd": (0.101,) * 6, "follows_dq": first.dq}
@@ -334,3 +342,74 @@ def test_with_a_lookahead_what_is_still_due_is_not_counted_as_missed():
     plan = Plan(dq=first.dq, brake_cycles=2, step=0)
     tracker.observe(state(2, 0.101, dq=first.dq, sequence=2, plan=plan))
     assert (tracker.missed, tracker.in_flight) == (0, (second,))
+
+
+def moving_in_flight():
+    """A robot with three admissions in flight, what it is sent if it takes them all, and those setpoints."""
+    tracker = Tracker("fr", FR, Drives(7, FR.tracking_tolerance.copy(), 0.0), CYCLE_S, lookahead_cycles=4)
+    still = Plan(dq=(0.0,) * 6, brake_cycles=1, step=1)
+    for cycle in range(1, 11):
+        tracker.observe(server_state("fr", cycle, q_cmd=(0.0,) * 6, q=(0.0,) * 6, dq=(0.0,) * 6, plan=still))
+    sent = []
+    motion = tracker.ahead
+    for count in range(1, 4):
+        dq = (0.001 * count, -0.001, 0.0, 0.0, 0.0, 0.0)
+        told = Admission(
+            robot="fr",
+            epoch=1,
+            sequence=1 + count,
+            cycle=9 + count,
+            follows_sequence=motion.sequence,
+            follows_q_cmd=tuple(motion.q_cmd.tolist()),
+            follows_dq=tuple(motion.dq.tolist()),
+            dq=dq,
+            brake_cycles=3,
+        )
+        tracker.admitted(told)
+        motion = motion.admitted(told)
+        sent.append(motion.q_cmd)
+    return tracker, motion, sent
+
+
+def state_of(motion, cycle):
+    q = tuple(motion.q_cmd.tolist())
+    plan = Plan(dq=tuple(motion.plan_dq.tolist()), brake_cycles=motion.brake_cycles, step=motion.step)
+    return server_state(
+        "fr", cycle, q=q, q_cmd=q, dq=tuple(motion.dq.tolist()), plan=plan, sequence=motion.sequence
+    )
+
+
+def test_setpoints_of_cycles_that_were_not_heard_are_remembered_as_they_were_sent():
+    tracker, motion, sent = moving_in_flight()
+    assert tracker.observe(state_of(motion, 13))
+    np.testing.assert_array_equal(tracker.standing().points[-3:], sent)
+    assert len(tracker.standing().points) == 8
+
+
+def test_where_it_is_not_known_what_was_sent_all_that_may_have_been_is_remembered_as_long_as_the_lag():
+    tracker, motion, sent = moving_in_flight()
+    elsewhere = state_of(motion, 13)
+    off = tuple((np.array(elsewhere.q_cmd) + 1e-6).tolist())
+    assert tracker.observe(elsewhere.model_copy(update={"q_cmd": off, "q": off}))
+    for cycle in range(14, 21):
+        points = tracker.standing().points
+        assert all(any(np.array_equal(setpoint, point) for point in points) for setpoint in sent)
+        still = Plan(dq=(0.0,) * 6, brake_cycles=1, step=1)
+        tracker.observe(server_state("fr", cycle, q_cmd=off, q=off, dq=(0.0,) * 6, plan=still, sequence=4))
+    assert tracker.at_rest()
+
+
+def test_a_setpoint_that_the_krc_missed_costs_none_of_those_before_it():
+    tracker, motion, _ = moving_in_flight()
+    # each telegram tells that the reply before it was missed, so the same setpoint is sent again
+    for cycle in range(13, 17):
+        tracker.observe(state_of(motion, cycle))
+    points = tracker.standing().points
+    assert len(points) == 8 + 3
+    np.testing.assert_array_equal(points[0], np.zeros(6))
+
+
+def test_a_leap_of_cycles_costs_no_time(tracker):
+    tracker.observe(state(1))
+    assert tracker.observe(state(2**52, 0.2))
+    np.testing.assert_allclose(tracker.q_cmd, 0.2)

@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 from gate_rig import CELL
 from small_cell import server_state
+from spans import exact_drives
 
 from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_protocol.guarded import Plan
 from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.tracker import Tracker
+from deltaq_services.sim.tube import drives_of
 from deltaq_verification.oracle import ClearanceOracle
 
-LAG = 6
 STOP_M = CELL.description.gate.stop_distance_m
 PROXIMITY = CompiledProximity(CELL)
 ORACLE = ClearanceOracle(CELL)
@@ -24,23 +25,32 @@ GR_ABOVE_FR = np.array((0.5501, 2.5284, -0.549, 2.2375, -1.0142, 0.8645, 1.4247,
 """A little more than the stop distance above FR's lens, where FR stands low over the floor."""
 
 
+def new_tracker(name):
+    """A tracker of a robot that has not been heard, and whose drives are exactly in the hull of their setpoints."""
+    robot, cycle_s = CELL.description.robots[name], CELL.description.cycle_s
+    lag = drives_of(robot, CELL.description.gate, cycle_s).lag
+    return Tracker(name, robot, exact_drives(lag, len(robot.joints), 1e-9), cycle_s)
+
+
 def at_rest(name, q, measured=None):
     """A tracker of a robot that has stood at `q` for as long as its drives lag; its drives are at `measured`."""
-    tracker = Tracker(name, CELL.description.robots[name], CELL.description.cycle_s, LAG)
+    tracker = new_tracker(name)
+    lag = tracker.drives.lag + 1
     here, there = tuple(q.tolist()), tuple((q if measured is None else measured).tolist())
     still = Plan(dq=(0.0,) * q.size, brake_cycles=1, step=1)
-    for cycle in range(1, LAG + 1):
+    for cycle in range(1, lag + 1):
         tracker.observe(server_state(name, cycle, q=there, q_cmd=here, dq=still.dq, plan=still))
     return tracker
 
 
 def in_motion(name, q, dq):
     """A tracker of a robot that has come to `q` at a constant `dq` and was admitted it last."""
-    tracker = Tracker(name, CELL.description.robots[name], CELL.description.cycle_s, LAG)
+    tracker = new_tracker(name)
+    lag = tracker.drives.lag + 1
     sent = tuple(dq.tolist())
     plan = Plan(dq=sent, brake_cycles=LIMITS[name].brake_cycles(dq), step=0)
-    for cycle in range(1, LAG + 1):
-        here = tuple((q - (LAG - cycle) * dq).tolist())
+    for cycle in range(1, lag + 1):
+        here = tuple((q - (lag - cycle) * dq).tolist())
         tracker.observe(server_state(name, cycle, q=here, q_cmd=here, dq=sent, plan=plan))
     return tracker
 

@@ -3,6 +3,13 @@
 import daqp
 import numpy as np
 
+from deltaq_services.sim.tube import Drives
+
+
+def exact_drives(lag, joints=2, tolerance=0.0):
+    """Drives that are in the hull of their setpoints, and all lag alike."""
+    return Drives(lag, np.full(joints, tolerance), 0.0)
+
 
 def is_inside(span, q, slack):
     """Whether some mean of a span's vertices is within its deviation of q (n,), and `slack` [rad or m]."""

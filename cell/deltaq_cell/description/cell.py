@@ -6,7 +6,13 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from deltaq_cell.description.base import DescriptionModel, EndpointText, GuardedEndpointText, Positive
+from deltaq_cell.description.base import (
+    DescriptionModel,
+    EndpointText,
+    GuardedEndpointText,
+    NotNegative,
+    Positive,
+)
 from deltaq_cell.description.bodies import Body
 from deltaq_cell.description.robot import RobotDescription
 from deltaq_protocol.messages import Name
@@ -57,8 +63,10 @@ class GateDescription(DescriptionModel):
     slow_down_speed_m_s: Positive = 0.25
     """Approach speed that is allowed at that distance; it falls to zero at the stop distance."""
     servo_lag_s: Positive = 0.204
-    """How long the drives may still travel setpoints that were sent before: for a KR 16 on a KR C2, of which 95 % of a
-    step arrive within .189 s, a cycle to spare included."""
+    """How long the drives may still travel a setpoint, from its sending: for a KR 16 on a KR C2, of which 95 % of a step
+    arrive within .189 s, a cycle to spare included."""
+    servo_lag_spread_s: NotNegative = 0.012
+    """Greatest difference between the lags of two joints of one robot."""
     retreat_speed: Annotated[float, Field(gt=0, le=1)] = 0.1
     """Fraction of the velocity limits that is allowed while leaving a violation."""
     max_request_age_s: Positive = 0.12

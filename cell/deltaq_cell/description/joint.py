@@ -18,13 +18,14 @@ class JointDescription(DescriptionModel):
     upper_deg: FiniteFloat | None = None
     max_velocity_deg_s: Positive | None = None
     max_acceleration_rad_s2: Positive | None = None
-    tracking_tolerance_deg: Positive = 2.0
+    tracking_tolerance_deg: Positive = 0.1
+    """How far the joint may be off the hull of its setpoints; the gate's distances contain it."""
     home_m: FiniteFloat | None = None
     lower_m: FiniteFloat | None = None
     upper_m: FiniteFloat | None = None
     max_velocity_m_s: Positive | None = None
     max_acceleration_m_s2: Positive | None = None
-    tracking_tolerance_m: Positive = 0.02
+    tracking_tolerance_m: Positive = 0.0005
 
     @model_validator(mode="after")
     def _has_one_unit_and_ordered_limits(self) -> Self:

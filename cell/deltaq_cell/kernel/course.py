@@ -24,6 +24,8 @@ class Course(NamedTuple):
         before: how many come before it, past and in flight.
         now: which of them is the present one.
         lag: how many setpoints back the drives may be.
+        tolerance: (n,) how far each joint may be beside the hull of its setpoints at rest [rad or m].
+        spread: half of the greatest difference between the lags of two joints [cycles].
         brake: (n,) increment at a share of 0 [rad or m].
         request: (n,) increment at a share of 1.
         max_dv: (n,) largest change of the increment between two cycles.
@@ -36,6 +38,8 @@ class Course(NamedTuple):
     before: int
     now: int
     lag: int
+    tolerance: Array
+    spread: float
     brake: Array
     request: Array
     max_dv: Array
@@ -70,4 +74,13 @@ def lay_course(course: Course, share: float) -> Tube:
         for joint in range(joints):
             moves = moves or points[k, joint] != points[count - 1, joint]
     last = count - 1 + course.lag if moves else course.now
-    return Tube(points[:count], course.lag, course.now, last, course.joints, course.bodies)
+    return Tube(
+        points[:count],
+        course.lag,
+        course.now,
+        last,
+        course.tolerance,
+        course.spread,
+        course.joints,
+        course.bodies,
+    )

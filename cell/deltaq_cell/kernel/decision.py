@@ -24,10 +24,14 @@ class Against(NamedTuple):
         tubes: (tubes, 12) of each: where its points begin and end, its lag, first and last window, its robot's first
             and last joint, the same of its bodies, where its pairs begin and end, and the robot's number. Of the
             first, which is no other robot's, there are no points.
+        tolerance: (tubes, joints) of each [rad or m].
+        spread: (tubes,) of each [cycles].
     """
 
     points: Array
     tubes: Integers
+    tolerance: Array
+    spread: Array
 
 
 class Told(NamedTuple):
@@ -251,7 +255,10 @@ def _keep(
 @makes_no_array
 def _tube(against: Against, number: int) -> Tube:
     of = against.tubes[number]
-    return Tube(against.points[of[0] : of[1]], of[2], of[3], of[4], (of[5], of[6]), (of[7], of[8]))
+    points, tolerance = against.points[of[0] : of[1]], against.tolerance[number]
+    return Tube(
+        points, of[2], of[3], of[4], tolerance, against.spread[number], (of[5], of[6]), (of[7], of[8])
+    )
 
 
 @makes_no_array

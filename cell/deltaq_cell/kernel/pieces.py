@@ -12,7 +12,7 @@ import numpy as np
 
 from deltaq_cell.compiled import inlined
 from deltaq_cell.kernel.arrays import Integers, Pairs
-from deltaq_cell.kernel.span import SHORTEST, VERTICES, centre, write_box, write_span
+from deltaq_cell.kernel.span import SHORTEST, VERTICES, beside, centre, write_box, write_span
 from deltaq_protocol.arrays import Array, Flags
 
 MINE, THEIRS = 0, 1
@@ -36,6 +36,8 @@ class Tube(NamedTuple):
         lag: how many setpoints back the drives may be.
         first: the first window.
         last: the last window.
+        tolerance: (n,) how far each joint may be beside the hull of its setpoints at rest [rad or m].
+        spread: half of the greatest difference between the lags of two joints [cycles].
         joints: the robot's first joint, and one more than its last.
         bodies: the same of its bodies.
     """
@@ -44,6 +46,8 @@ class Tube(NamedTuple):
     lag: int
     first: int
     last: int
+    tolerance: Array
+    spread: float
     joints: tuple[int, int]
     bodies: tuple[int, int]
 
@@ -58,6 +62,7 @@ class Stack(NamedTuple):
         vertices: (rows, 2) how many vertices the span around each piece has; zero if it is not laid.
         offset: (rows, 2, VERTICES, joints) of those from the middle of the box.
         deviation: (rows, 2, joints) [rad or m].
+        straight: (rows, 2) whether the windows of each piece are one line, along which all joints lag alike.
         serial: (rows, 2) number of each piece, which tells it from all others.
         greatest: (2,) travel of the bodies of either robot where it was placed last [m].
         placed: (2, 2) serial number of the piece where it was placed, and where the pairs began whose bodies were.
@@ -76,6 +81,7 @@ class Stack(NamedTuple):
     vertices: Integers
     offset: Array
     deviation: Array
+    straight: Flags
     serial: Integers
     greatest: Array
     placed: Integers
@@ -97,6 +103,7 @@ def stack_of(joints: int, bodies: int, pairs: int, rows: int = ROWS) -> Stack:
         vertices=np.zeros((rows, 2), dtype=np.int64),
         offset=np.zeros((rows, 2, VERTICES, joints)),
         deviation=np.zeros((rows, 2, joints)),
+        straight=np.zeros((rows, 2), dtype=bool),
         serial=np.zeros((rows, 2), dtype=np.int64),
         greatest=np.zeros(2),
         placed=np.zeros((2, 2), dtype=np.int64),
@@ -142,7 +149,10 @@ def lay_box(stack: Stack, row: int, side: int, tube: Tube) -> None:
     """Lay the box of a piece of windows around their setpoints; that of a part of a span is as it is."""
     if stack.window[row, side, 0] != _SPAN:
         start, end = _setpoints(stack, row, side, tube)
-        write_box(tube.points[start:end], stack.middle[row, side], stack.half[row, side])
+        points, half = tube.points[start:end], stack.half[row, side]
+        write_box(points, stack.middle[row, side], half)
+        for joint in range(points.shape[1]):
+            half[joint] += beside(points, joint, tube.tolerance, tube.spread)
 
 
 @inlined
@@ -150,15 +160,23 @@ def lay_span(stack: Stack, row: int, side: int, tube: Tube) -> None:
     """Lay the span of a piece within its box, unless it is laid."""
     if stack.vertices[row, side] == 0:
         start, end = _setpoints(stack, row, side, tube)
-        stack.vertices[row, side] = write_span(
-            tube.points[start:end],
+        points, deviation = tube.points[start:end], stack.deviation[row, side]
+        vertices = write_span(
+            points,
             stack.middle[row, side],
             stack.offset[row, side],
-            stack.deviation[row, side],
+            deviation,
             stack.kept,
             stack.beside,
             stack.aside,
         )
+        stack.vertices[row, side] = vertices
+        bent = 0.0
+        for joint in range(points.shape[1]):
+            width = beside(points, joint, tube.tolerance, tube.spread)
+            bent = max(bent, deviation[joint], width - tube.tolerance[joint])
+            deviation[joint] += width
+        stack.straight[row, side] = vertices <= 2 and bent < SHORTEST
 
 
 @inlined
@@ -186,6 +204,7 @@ def divide(stack: Stack, row: int, side: int, tube: Tube, serial: int) -> None:
         for k in range(2):
             stack.window[row + 1, both, k] = stack.window[row, both, k]
         stack.vertices[row + 1, both] = stack.vertices[row, both]
+        stack.straight[row + 1, both] = stack.straight[row, both]
         for joint in range(stack.middle.shape[2]):
             stack.middle[row + 1, both, joint] = stack.middle[row, both, joint]
             stack.half[row + 1, both, joint] = stack.half[row, both, joint]
@@ -218,15 +237,7 @@ def divide(stack: Stack, row: int, side: int, tube: Tube, serial: int) -> None:
 def _by_windows(stack: Stack, row: int, side: int, tube: Tube) -> bool:
     """Whether a piece has several windows that are no straight line together."""
     first, last = stack.window[row, side, 0], stack.window[row, side, 1]
-    return bool(
-        len(tube.points) > 0
-        and first != _SPAN
-        and first != last
-        and (
-            stack.vertices[row, side] > 2
-            or _widest(stack.deviation[row, side], tube.points.shape[1]) >= SHORTEST
-        )
-    )
+    return bool(len(tube.points) > 0 and first != _SPAN and first != last and not stack.straight[row, side])
 
 
 @inlined

@@ -1,4 +1,8 @@
-"""The kernel's spans of joint space: the hull of a few setpoints of a course, as wide as the others lie beside it."""
+"""The kernel's spans of joint space: the hull of a few setpoints of a course, as wide as the others lie beside it.
+
+Drives are not exactly in the hull of their setpoints. `beside` bounds how far a joint may be beside it, and `off_hull`
+tells how far a measured robot is.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +16,12 @@ from deltaq_protocol.arrays import Array
 
 VERTICES = 4
 """Of a span at most."""
+
+_SEARCH_STEPS = 2000
+"""Of a search for the nearest point of a hull; where drives follow it ends after a few."""
+
+_NEAREST = 1e-6
+"""The search ends where no point of the hull can be nearer by more than this, in squares of the width."""
 
 SHORTEST = 1e-7
 """What no drive resolves [rad or m]: what lies no farther beside a span gets no vertex, and is not divided."""
@@ -32,6 +42,76 @@ def span_around(points: Array) -> tuple[Array, Array, Array, Array]:
     kept, beside = np.empty((2, VERTICES), dtype=np.int64), np.empty(VERTICES)
     vertices = write_span(points, middle, offset, deviation, kept, beside, np.empty((2, joints)))
     return middle, half, offset[:vertices].copy(), deviation
+
+
+@inlined
+def beside(points: Array, joint: int, tolerance: Array, spread: float) -> float:
+    """How far a joint may be beside the hull of `points` [rad or m].
+
+    Joints whose lags differ are at different times of one course. A joint that is `spread` cycles before or behind the
+    others is away from their place by no more than the fastest step of those cycles. The tolerance is added.
+
+    Args:
+        points: (k, n) setpoints, in the order of their course [rad or m].
+        joint: index of the joint.
+        tolerance: (n,) [rad or m].
+        spread: half of the greatest difference between the lags of two joints [cycles].
+    """
+    fastest = 0.0
+    for k in range(1, len(points)):
+        fastest = max(fastest, abs(points[k, joint] - points[k - 1, joint]))
+    return float(tolerance[joint] + spread * fastest)
+
+
+@compiled
+def widths(points: Array, tolerance: Array, spread: float) -> Array:
+    """(n,) how far each joint may be beside the hull of `points`, as `beside` has it."""
+    found = np.empty(points.shape[1])
+    for joint in range(points.shape[1]):
+        found[joint] = beside(points, joint, tolerance, spread)
+    return found
+
+
+@compiled
+def off_hull(points: Array, q: Array, width: Array) -> Array:
+    """(n,) how far a robot is beside the hull of its setpoints, signed [rad or m].
+
+    The nearest point of the hull is sought in units of `width`, by steps that move weight from the farthest vertex to
+    the nearest (pairwise Frank-Wolfe, Lacoste-Julien and Jaggi 2015). The search ends at the first point that is within
+    the width in every joint, or when a plane shows that there is none. If it ends before, the answer may be too large.
+
+    Args:
+        points: (k, n) setpoints, the newest last [rad or m].
+        q: (n,) measured.
+        width: (n,) positive.
+    """
+    count, joints = points.shape
+    vertices, rest = (points - q) / width, np.empty(joints)
+    weight, along = np.zeros(count), np.empty(count)
+    nearest = 0
+    for k in range(1, count):
+        if (vertices[k] ** 2).sum() < (vertices[nearest] ** 2).sum():
+            nearest = k
+    weight[nearest] = 1.0
+    rest[:] = vertices[nearest]
+    for _ in range(_SEARCH_STEPS):
+        if np.abs(rest).max() <= 1.0:
+            break
+        towards = away = -1
+        for k in range(count):
+            along[k] = (vertices[k] * rest).sum()
+            if towards < 0 or along[k] < along[towards]:
+                towards = k
+            if weight[k] > 0.0 and (away < 0 or along[k] > along[away]):
+                away = k
+        if (rest * rest).sum() - along[towards] <= _NEAREST or along[towards] > np.abs(rest).sum():
+            break
+        step = vertices[towards] - vertices[away]
+        share = min(max((along[away] - along[towards]) / (step * step).sum(), 0.0), weight[away])
+        weight[away] -= share
+        weight[towards] += share
+        rest += share * step
+    return -rest * width
 
 
 @makes_no_array

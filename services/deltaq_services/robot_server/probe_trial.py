@@ -33,7 +33,7 @@ PROBE_RAD = math.radians(0.03)
 PROBE_M = 0.03e-3
 """Sum of a pulse: how far a KRC that adds up is displaced by it."""
 
-SHARE_OF_TOLERANCE = 0.1
+SHARE_OF_TOLERANCE = 0.6
 """Of its tracking tolerance no joint is displaced by more. A robot may be that tolerance off its path without being
 held, so the distances that the gate keeps pay for it already."""
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from deltaq_cell.decisions import Decisions
 from deltaq_cell.kernel.course import Course
+from deltaq_cell.kernel.pieces import Tube
 from deltaq_protocol.arrays import Array
 from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.tracker import Tracker
@@ -41,12 +42,16 @@ class Blend:
         dq = self.dq(share)
         return self.robot.tube(self.robot.course(dq, self.limits.brake_cycles(dq)))
 
-    def course(self, decisions: Decisions) -> Course:
-        """All of them as the kernel takes them."""
-        before, now, lag = self.robot.before()
+    def course(self, decisions: Decisions, before: Tube) -> Course:
+        """All of them as the kernel takes them.
+
+        Args:
+            decisions: makes them.
+            before: the robot's tube without the request (`Tracker.before`).
+        """
         # no blend exceeds both of its ends in any joint; one cycle more for rounding
         greatest = np.maximum(np.abs(self.brake), np.abs(self.dq(self.at_most)))
         longest = self.limits.brake_cycles(greatest) + 1
         return decisions.course(
-            self.robot.name, before, now, lag, self.brake, self.request, self.limits.max_dv, longest
+            self.robot.name, before, self.brake, self.request, self.limits.max_dv, longest
         )

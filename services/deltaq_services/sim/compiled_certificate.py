@@ -87,7 +87,7 @@ class CompiledCertifier(Certifier):
         assert first.failing is not None  # it does not hold
         assert isinstance(first.failing.groups, PairedGroups)  # as this class tells it
         share, self._left = self._decisions.largest_share(
-            blend.course(self._decisions),
+            blend.course(self._decisions, self._tube(robot, blend.robot.before())),
             refused,
             self._against(robot, others),
             (first.failing.other, first.failing.groups.numbers),
@@ -130,7 +130,10 @@ class CompiledCertifier(Certifier):
         return self._decisions.against(robot, [(name, self._tube(name, tube)) for name, tube in others])
 
     def _tube(self, robot: str, tube: Windows) -> Tube:
-        return self._kernel.whole_tube(robot, tube.points, tube.lag, tube.first, tube.last)
+        drives = tube.drives
+        return self._kernel.whole_tube(
+            robot, tube.points, drives.lag, tube.first, tube.last, drives.tolerance, drives.spread
+        )
 
     def _certify(
         self, mine: Tube, other: str | None, theirs: Tube | None, groups: Sequence[Group]

@@ -400,8 +400,9 @@ class Sim:
     def _unready(self, state: ServerState) -> Reason | None:
         """Why nothing can be decided on a state, whatever the request."""
         unheard = [name for name, other in self.robots.items() if other.tracker.state is None]
-        if unheard:  # its position is unknown, so nothing can be kept clear of it
-            return Reason(code=ReasonCode.NOT_READY, what=unheard[0])
+        unknown = [name for name, other in self.robots.items() if not other.tracker.is_known]
+        if unknown:  # its position or its last motion is unknown, so nothing can be kept clear of it
+            return Reason(code=ReasonCode.NOT_READY, what=(unheard or unknown)[0])
         others = [told[1] for other in self.robots.values() if (told := self._other_cell(other)) is not None]
         if others:  # its limits and bodies may be others than those that are decided by
             return Reason(code=ReasonCode.CELL_MISMATCH, what=others[0])

@@ -10,6 +10,7 @@ from deltaq_protocol.guarded import RobotMemory
 from deltaq_services.sim.inbox import Inbox
 from deltaq_services.sim.orders import Orders
 from deltaq_services.sim.tracker import Tracker
+from deltaq_services.sim.tube import drives_of
 
 _GAP = 4
 """Times that a Robot Server may be without a gate before it holds: orders that are under way arrive later."""
@@ -37,7 +38,7 @@ class GatedRobot:
         self.joints = len(description.joints)
         self.max_age_cycles = topics.COMMAND.age_cycles(cycle_s, gate.max_request_age_s)
         self.tracker = Tracker(
-            name, description, cycle_s, math.ceil(gate.servo_lag_s / cycle_s), gate.lookahead_cycles
+            name, description, drives_of(description, gate, cycle_s), cycle_s, gate.lookahead_cycles
         )
         self.orders = Orders(self.tracker, math.ceil(gate.hli_timeout_s / cycle_s))
         self.inbox = Inbox(

@@ -13,11 +13,13 @@ from dataclasses import replace
 import numpy as np
 
 from deltaq_cell.description import RobotDescription
+from deltaq_cell.kernel.span import off_hull, widths
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.guarded import Admission, ServerState, TrackerMemory
 from deltaq_protocol.setpoint_motion import SetpointMotion
 from deltaq_services.sim.courses import courses, motions, still_due
-from deltaq_services.sim.tube import Branch, Windows, tube
+from deltaq_services.sim.history import History
+from deltaq_services.sim.tube import Branch, Drives, Windows, tube
 
 _ENDED_PROCESSES = 16
 """Processes of one Robot Server that are remembered: their states may be overtaken by those of their successor."""
@@ -25,14 +27,12 @@ _ENDED_PROCESSES = 16
 _SUMS = 1e-9
 """Rounding of a setpoint when increments are added in another order [rad or m]."""
 
-_ROUNDING = 2e-5
-"""Rounding of a measured joint by a telegram's decimals [rad or m]."""
-
 
 class Tracker:
     """Follows one robot by its states and the admissions sent to it.
 
     Attributes:
+        drives: how the robot follows its setpoints.
         units: unit of each joint.
         state: the newest state; None before the first.
         in_flight: admissions that no state has confirmed or outdated yet, each following the one before it.
@@ -45,11 +45,11 @@ class Tracker:
         self,
         name: str,
         description: RobotDescription,
+        drives: Drives,
         cycle_s: float,
-        lag_cycles: int,
         lookahead_cycles: int = 1,
     ) -> None:
-        self.name = name
+        self.name, self.drives = name, drives
         self.state: ServerState | None = None
         self.in_flight: tuple[Admission, ...] = ()
         self._ahead: list[SetpointMotion] | None = None
@@ -59,24 +59,23 @@ class Tracker:
         self.missed = 0
         self.restarted = self.displaced = False
         self._fastest = description.max_velocity * cycle_s
-        self._lag = max(2, lag_cycles)
         self.units = description.units
         self._limits = np.maximum(np.abs(description.lower), np.abs(description.upper))
-        self._tolerance = description.tracking_tolerance
-        self._history: deque[Array] = deque(maxlen=self._lag)
+        self._history = History(self.drives.lag)
         self._ended: deque[int] = deque(maxlen=_ENDED_PROCESSES)
-        self._past: tuple[Array, Array] | None = None
+        self._off: tuple[Array, Array] | None = None
 
     def observe(self, state: ServerState) -> bool:
         """Take a state; returns False if no cycle of the robot has passed since the last."""
         self.restarted = self.displaced = False
-        self._past = None
+        self._off = None
         if state.process in self._ended:
             return False
         if self.state is not None and state.process != self.state.process:
             self.restarted = True
             self._ended.append(self.state.process)
-            self._history.clear()
+            # the robot has been braked along one of its courses, and the drives may be anywhere on it
+            self._history.may_have_been_sent(self._possible())
             self._fly(())
         elif self.state is not None:
             if state.cycle == self.state.cycle and state.time_s >= self.state.time_s:
@@ -86,13 +85,34 @@ class Tracker:
             if state.cycle <= self.state.cycle:
                 return False
             self.displaced = self._is_displaced(self.state, state)
+            self._pass_unheard(self.state, state)
+        missed_reply = self.state is not None and not self.restarted and _stood(self.state, state)
         self.state = state
         still = still_due(state, self.in_flight)
         self.missed += _missed(state, self.in_flight) - len(still)
         self._fly(still)
         # in a new session the drives are held where the KRC says, and a reset continues from there
-        self._history.append(np.array(state.q_cmd if state.q_reset is None else state.q_reset))
+        setpoint = np.array(state.q_cmd if state.q_reset is None else state.q_reset)
+        self._history.sent(setpoint, passed=not missed_reply)
         return True
+
+    def _possible(self) -> list[Array]:
+        """Every setpoint, each (n,), that can follow the present one by what is known [rad or m]."""
+        return [setpoint for branch in self._courses() for setpoint in branch.setpoints(self.q_cmd)]
+
+    def _pass_unheard(self, before: ServerState, state: ServerState) -> None:
+        """Remember what was sent in the cycles between two states, or all that may have been."""
+        unheard = state.cycle - before.cycle - 1
+        if 0 < unheard <= self.drives.lag:
+            taken = [one.sequence for one in self.in_flight]
+            chain = self.in_flight[: taken.index(state.sequence) + 1] if state.sequence in taken else ()
+            sent = motions(self._now(), before.cycle, chain, unheard + 1)
+            if np.array_equal(sent[-1].q_cmd, state.q_cmd):
+                for motion in sent[1:-1]:
+                    self._history.sent(motion.q_cmd)
+                return
+        if unheard > 0:
+            self._history.may_have_been_sent(self._possible())
 
     def _is_displaced(self, before: ServerState, state: ServerState) -> bool:
         if state.q_cmd == before.q_cmd:
@@ -105,29 +125,34 @@ class Tracker:
 
     def snapshot(self) -> TrackerMemory:
         """Snapshot for `restore`."""
-        history = tuple(tuple(setpoint.tolist()) for setpoint in self._history)
+        history, passed = self._history.snapshot()
         return TrackerMemory(
             state=self.state,
             ended_processes=tuple(self._ended),
             in_flight=self.in_flight,
             missed=self.missed,
             history=history,
+            passed=passed,
         )
 
     def restore(self, memory: TrackerMemory) -> None:
         """Restore a snapshot of another tracker of this robot."""
         self.state, self.missed = memory.state, memory.missed
         self._fly(memory.in_flight)
-        self._history.clear()
-        self._history.extend(np.array(setpoint) for setpoint in memory.history)
+        self._history.restore(memory.history, memory.passed)
         self._ended.clear()
         self._ended.extend(memory.ended_processes)
-        self._past = None
+        self._off = None
 
     @property
     def q_cmd(self) -> Array:
         """(n,) present setpoint [rad or m]."""
-        return self._history[-1]
+        return self._history.newest
+
+    @property
+    def is_known(self) -> bool:
+        """Whether every setpoint is known that the drives may be at: states came for as long as they lag."""
+        return self.state is not None and self._history.is_full
 
     def admitted(self, admission: Admission) -> None:
         """An admission was sent, which follows all that are in flight."""
@@ -175,20 +200,12 @@ class Tracker:
     def tube(self, branch: Branch) -> Windows:
         """The tube of one course from the present setpoint."""
         assert self.state is not None  # asked only of robots that have been heard
-        history, off = self._measured()
-        measured = np.array(self.state.q) if (off > _ROUNDING).any() else None
-        return tube(history, branch, self._lag, measured)
+        measured = None if self.off_path() is None else np.array(self.state.q)
+        return tube(self._history.array(), branch, self.drives, measured)
 
-    def before(self) -> tuple[Array, int, int]:
-        """What comes before a course that is decided next.
-
-        Returns:
-            (k, n) setpoints [rad or m], past and in flight, the first of them where the robot is measured to be if that
-            is not within the others; which of them is the present one; and how many setpoints back the drives may be.
-        """
-        in_flight = self.course(np.zeros_like(self.q_cmd), 1)
-        tube = self.tube(in_flight)
-        return tube.points, tube.first, tube.lag
+    def before(self) -> Windows:
+        """The tube of what is in flight: what comes before a course that is decided next."""
+        return self.tube(self.course(np.zeros_like(self.q_cmd), 1))
 
     def farthest(self) -> Array:
         """(n,) how far from zero any joint can be on any course that keeps the position limits (I1) [rad or m].
@@ -196,20 +213,21 @@ class Tracker:
         A joint that stands outside its limits goes no further out.
         """
         assert self.state is not None  # asked only of robots that have been heard
-        known = np.abs(np.array([*self._history, self.state.q]))
+        known = np.abs(np.vstack([self._history.array(), self.state.q]))
         farthest: Array = np.maximum(known.max(axis=0), self._limits)
-        return farthest
+        return farthest + self.drives.tolerance + self.drives.spread * self._fastest
 
     def tube_of_setpoints(self, branch: Branch) -> Windows:
-        """The same, wherever the robot is measured to be."""
-        return tube(self._measured()[0], branch, self._lag)
+        """The tube of drives that are exactly in the hull of their setpoints, wherever the robot is measured to be."""
+        exact = replace(self.drives, tolerance=np.zeros_like(self.drives.tolerance), spread=0.0)
+        return tube(self._history.array(), branch, exact)
 
     def tubes(self) -> list[Windows]:
         """The tubes of every course that the robot may take."""
         return [self.tube(branch) for branch in self._courses()]
 
     def tubes_of_setpoints(self) -> list[Windows]:
-        """The same, wherever the robot is measured to be."""
+        """The same of drives that are exactly in the hull of their setpoints."""
         return [self.tube_of_setpoints(branch) for branch in self._courses()]
 
     def _courses(self) -> list[Branch]:
@@ -224,29 +242,30 @@ class Tracker:
 
     def at_rest(self) -> bool:
         """Whether nothing is left to send and the drives have caught up."""
-        settled = all((setpoint == self.q_cmd).all() for setpoint in self._history)
         brake, *_ = self._courses()
-        return settled and len(self._history) == self._lag and not brake.setpoints(self.q_cmd).size
+        return self._history.rests and not brake.setpoints(self.q_cmd).size
 
     def stands_still(self) -> bool:
         """Whether it is at rest, and nothing is in flight that could set it in motion."""
         return not self.in_flight and self.at_rest()
 
     def off_path(self) -> tuple[int, float, float] | None:
-        """The joint that left the commanded path by more than its tolerance: index, distance, tolerance."""
-        _, distance = self._measured()
-        joint = int((distance / self._tolerance).argmax())
-        if distance[joint] <= self._tolerance[joint]:
-            return None
-        return joint, float(distance[joint]), float(self._tolerance[joint])
-
-    def _measured(self) -> tuple[Array, Array]:
-        """(m, n) the last setpoints, oldest first, and (n,) how far the robot is off all of them [rad or m]."""
-        if self._past is None:
+        """The joint that left what is certified of the commanded path: index, distance, what is allowed [rad or m]."""
+        if self._off is None:
             assert self.state is not None  # asked only of robots that have been heard
-            history, q = np.array(self._history), np.array(self.state.q)
-            self._past = history, np.maximum(history.min(axis=0) - q, q - history.max(axis=0))
-        return self._past
+            history = self._history.array()
+            allowed = widths(history, self.drives.tolerance, self.drives.spread)
+            self._off = np.abs(off_hull(history, np.array(self.state.q), allowed)), allowed
+        distance, allowed = self._off
+        joint = int((distance / allowed).argmax())
+        if distance[joint] <= allowed[joint] * (1 + _SUMS):
+            return None
+        return joint, float(distance[joint]), float(allowed[joint])
+
+
+def _stood(before: ServerState, state: ServerState) -> bool:
+    """Whether the KRC missed the reply before this state, so that the same setpoint was sent again."""
+    return any(state.dq) and state.q_cmd == before.q_cmd and state.cycle == before.cycle + 1
 
 
 def _missed(state: ServerState, chain: Sequence[Admission]) -> int:

@@ -1,22 +1,50 @@
 """The tube: every configuration that a robot can be in from now until its brake has ended.
 
-The drives lag. A robot that was sent the setpoints c_1, c_2, ... is, at the time of c_t, somewhere in the hull
-of the last few of them: stable drives without overshoot that lag alike are at a weighted mean of past setpoints. The
-tube is therefore a sequence of overlapping windows, each the hull of `lag` + 1 consecutive setpoints, held by a span
-of a few of them. It makes no statement of when the robot is where, so tubes of two robots can be compared as sets.
+The drives lag. A robot that was sent the setpoints c_1, c_2, ... is, at the time of c_t, in the hull of the last few
+of them or little beside it: stable drives that lag alike and do not overshoot are at a weighted mean of past setpoints,
+and `Drives` bounds what real ones are off it. The tube is therefore a sequence of overlapping windows. Each is the hull
+of `lag` + 1 consecutive setpoints and what lies beside it, held by a span of a few of them. The tube makes no statement
+of when the robot is where, so tubes of two robots can be compared as sets.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
+from deltaq_cell.description import GateDescription, RobotDescription
 from deltaq_cell.kernel.motion import course_points
-from deltaq_cell.kernel.span import SHORTEST, span_around
+from deltaq_cell.kernel.span import SHORTEST, span_around, widths
 from deltaq_protocol.arrays import Array
+
+_ROUNDING = 1e-9
+"""Share of a cycle that rounding adds to a lag of whole cycles."""
+
+
+@dataclass(frozen=True)
+class Drives:
+    """How the drives of a robot follow its setpoints.
+
+    Attributes:
+        lag: how many setpoints back they may be.
+        tolerance: (n,) how far each joint may be beside the hull of those setpoints at rest [rad or m].
+        spread: half of the greatest difference between the lags of two joints [cycles].
+    """
+
+    lag: int
+    tolerance: Array
+    spread: float
+
+
+def drives_of(description: RobotDescription, gate: GateDescription, cycle_s: float) -> Drives:
+    """The drives of a robot as a cell describes them; `servo_lag_s` counts from the sending of a setpoint."""
+    lag = max(1, math.ceil(gate.servo_lag_s / cycle_s - _ROUNDING))
+    # a copy, since the kernel takes no array that cannot be written to
+    return Drives(lag, description.tracking_tolerance.copy(), gate.servo_lag_spread_s / cycle_s / 2)
 
 
 @dataclass(frozen=True)
@@ -65,26 +93,34 @@ class Span:
         half: (n,) half-widths of that box.
         offsets: (vertices, n) of the vertices from the middle.
         deviation: (n,) how far it is wide.
+        is_straight: whether it is one line, along which all joints lag alike.
     """
 
     middle: Array
     half: Array
     offsets: Array
     deviation: Array
+    is_straight: bool = False
 
     @classmethod
-    def around(cls, points: Array) -> Span:
-        """A span that holds the hull of the points of a course, (k, n) [rad or m]."""
-        return cls(*span_around(points))
+    def around(cls, points: Array, tolerance: Array, spread: float) -> Span:
+        """A span that holds every place that drives can be at in a part of a course.
+
+        Args:
+            points: (k, n) setpoints of that part [rad or m].
+            tolerance: (n,) as `Drives` has it.
+            spread: likewise.
+        """
+        middle, half, offsets, deviation = span_around(points)
+        width = widths(points, tolerance, spread)
+        bent = np.maximum(deviation, width - tolerance).max()
+        return cls(
+            middle, half + width, offsets, deviation + width, len(offsets) <= 2 and bool(bent < SHORTEST)
+        )
 
     def span(self) -> Span:
         """Itself."""
         return self
-
-    @property
-    def is_straight(self) -> bool:
-        """Whether it is a line, as far as any drive resolves."""
-        return len(self.offsets) <= 2 and bool(self.deviation.max() < SHORTEST)
 
     def halves(self) -> tuple[Piece, ...]:
         """Two spans, in which the middle between the farthest two vertices takes the place of the one or the other.
@@ -114,11 +150,11 @@ class Windows:
 
     Attributes:
         points: (k, n) setpoints, past and to come [rad or m].
-        lag: how many setpoints back the drives may be.
+        drives: how they follow them.
     """
 
     points: Array
-    lag: int
+    drives: Drives
     first: int
     last: int
 
@@ -128,8 +164,8 @@ class Windows:
 
     @cached_property
     def _span(self) -> Span:
-        first = max(0, min(self.first - self.lag, len(self.points) - 1))
-        return Span.around(self.points[first : self.last + 1])
+        first = max(0, min(self.first - self.drives.lag, len(self.points) - 1))
+        return Span.around(self.points[first : self.last + 1], self.drives.tolerance, self.drives.spread)
 
     def halves(self) -> tuple[Piece, ...]:
         """Half of the windows each; of a single window, or of all along one line, the halves of their span."""
@@ -139,18 +175,20 @@ class Windows:
         return replace(self, last=middle), replace(self, first=middle + 1)
 
 
-def tube(history: Array, branch: Branch, lag: int, measured: Array | None = None) -> Windows:
+def tube(history: Array, branch: Branch, drives: Drives, measured: Array | None = None) -> Windows:
     """The tube of one course.
 
     Args:
-        history: (m, n) the last setpoints, oldest first, ending with the present one [rad or m].
+        history: (m, n) the last setpoints, oldest first, ending with the present one [rad or m]. Where there are more
+            than the drives' lag says, the drives may still be at any of them.
         branch: what is sent from here on.
-        lag: how many setpoints back the drives may be.
+        drives: how the robot follows.
         measured: (n,) where the robot is, if that is not within what the history explains.
     """
     past = history if measured is None else np.concatenate((measured[None], history))
+    drives = replace(drives, lag=max(drives.lag, len(past) - 1))
     path = np.array(branch.path) if branch.path else past[:0]
     # past, then `branch.setpoints`
     points, moves = course_points(past, path, branch.dq, branch.brake_cycles, branch.step)
     now = len(past) - 1
-    return Windows(points, lag, now, len(points) - 1 + lag if moves else now)
+    return Windows(points, drives, now, len(points) - 1 + drives.lag if moves else now)
