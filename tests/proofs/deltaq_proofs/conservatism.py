@@ -167,7 +167,7 @@ class Auditor:
 
     def _along(self, tube: Windows) -> Array:
         """(samples, n) configurations along the setpoints of a tube, the end included."""
-        points = tube.points[max(0, tube.first - tube.lag) :]
+        points = tube.points[max(0, tube.first - tube.drives.lag) :]
         places = np.linspace(0, len(points) - 1, self._samples)
         return np.array([np.interp(places, np.arange(len(points)), column) for column in points.T]).T
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from deltaq_cell.cell_model import CellModel
@@ -17,6 +15,7 @@ from deltaq_services.sim.contacts import Contacts
 from deltaq_services.sim.gate import Gate
 from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.tracker import Tracker
+from deltaq_services.sim.tube import drives_of
 from deltaq_services.sim.violations import Violations
 
 
@@ -39,11 +38,14 @@ class Stage:
         self._gate = Gate(
             proximity, self._limits, description.gate, Contacts(proximity, description.contacts), Violations()
         )
-        lag = math.ceil(description.gate.servo_lag_s / cycle_s)
+        drives = {
+            name: drives_of(robot, description.gate, cycle_s) for name, robot in description.robots.items()
+        }
         self._trackers = {
-            name: Tracker(name, robot, cycle_s, lag) for name, robot in description.robots.items()
+            name: Tracker(name, robot, drives[name], cycle_s) for name, robot in description.robots.items()
         }
         self._plans: dict[str, Plan] = {}
+        lag = 1 + max(each.lag for each in drives.values())
         self._cycle, self._sequence = lag, 0
         for name, tracker in self._trackers.items():
             dq = drawn.dq[name]

@@ -15,7 +15,6 @@ from deltaq_proofs.model_checker.one_joint import (
     CYCLE_S,
     FASTEST,
     HLI_TIMEOUT_CYCLES,
-    LAG_CYCLES,
     LEASE,
     ROBOT,
     STEP,
@@ -31,6 +30,7 @@ from deltaq_services.sim.core import Sim
 from deltaq_services.sim.inbox import Inbox
 from deltaq_services.sim.orders import Orders
 from deltaq_services.sim.tracker import Tracker
+from deltaq_services.sim.tube import drives_of
 
 Act = Callable[[SystemState], SystemState]
 _Kind = Literal["stop", "reset"]
@@ -55,7 +55,9 @@ class GateSide:
         """A SIM that follows its robot, orders it about and keeps requests with these."""
         sim = one_joint_sim(self._description)
         ahead = self._description.gate.lookahead_cycles
-        tracker = tracker_type(ROBOT, self._description.robots[ROBOT], CYCLE_S, LAG_CYCLES, ahead)
+        robot = self._description.robots[ROBOT]
+        drives = drives_of(robot, self._description.gate, CYCLE_S)
+        tracker = tracker_type(ROBOT, robot, drives, CYCLE_S, ahead)
         sim.robots[ROBOT].tracker = tracker
         sim.robots[ROBOT].orders = orders_type(tracker, HLI_TIMEOUT_CYCLES)
         sim.robots[ROBOT].inbox = inbox_type(joints=1, max_age_cycles=1)

@@ -29,7 +29,8 @@ FASTEST = 4
 GATE_TIMEOUT_CYCLES = 1
 KRC_TIMEOUT_CYCLES = 1
 HLI_TIMEOUT_CYCLES = 1
-LAG_CYCLES = 2
+LAG_S = CYCLE_S
+"""The gate knows drives of so short a lag after two states."""
 LEASE = 1
 """Epoch of the lease under which the HLI requests."""
 
@@ -83,7 +84,7 @@ def one_joint_cell(rsi: bool = False, lookahead_cycles: int = 1) -> CellDescript
         "joints": {"x": joint},
     }
     gate = {
-        "servo_lag_s": LAG_CYCLES * CYCLE_S,
+        "servo_lag_s": LAG_S,
         "lookahead_cycles": lookahead_cycles,
         "max_request_age_s": CYCLE_S,
         "gate_timeout_s": GATE_TIMEOUT_CYCLES * CYCLE_S,
