@@ -30,5 +30,5 @@ print(*sorted(outcomes))
 @pytest.mark.long
 def test_a_gate_that_was_prepared_compiles_nothing_for_its_decisions() -> None:
     decided = subprocess.run([sys.executable, "-c", DECIDE], capture_output=True, text=True, check=True)
-    assert decided.stdout.splitlines()[-1] == "held scaled"
+    assert {"held", "scaled"} <= set(decided.stdout.splitlines()[-1].split())
     assert "compiled late" not in decided.stdout
