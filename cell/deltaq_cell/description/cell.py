@@ -63,8 +63,8 @@ class GateDescription(DescriptionModel):
     slow_down_speed_m_s: Positive = 0.25
     """Approach speed that is allowed at that distance; it falls to zero at the stop distance."""
     servo_lag_s: Positive = 0.204
-    """How long the drives may still travel a setpoint, from its sending: for a KR 16 on a KR C2, of which 95 % of a step
-    arrive within .189 s, a cycle to spare included."""
+    """How long the drives may still travel a setpoint, from its sending. On a KR 16 with a KR C2 95 % of a step arrive
+    within .189 s; a cycle is added."""
     servo_lag_spread_s: NotNegative = 0.012
     """Greatest difference between the lags of two joints of one robot."""
     retreat_speed: Annotated[float, Field(gt=0, le=1)] = 0.1
