@@ -14,7 +14,7 @@ from deltaq_launch.exit_status import BAD
 from deltaq_protocol.errors import DeltaqError
 
 if TYPE_CHECKING:
-    from deltaq_deploy.rsi.lag_sweep import Course, MeasuredAxis
+    from deltaq_deploy.rsi.lag_sweep import DrivenSweep, MeasuredAxis
     from deltaq_protocol.blocking import BlockingCell, BlockingRobot
 
 LAG_EXAMPLES = (
@@ -77,9 +77,9 @@ def _require_ready(running: BlockingCell, robot: str) -> None:
         raise LagError(f"{robot} is {status.phase}{why}, and has to be ready: deltaq reset --robot {robot}")
 
 
-def _courses(leased: BlockingRobot, cycle_s: float, quiet: bool) -> list[Course]:
+def _courses(leased: BlockingRobot, cycle_s: float, quiet: bool) -> list[DrivenSweep]:
     """Drive each motion, one increment a state, and keep its states."""
-    from deltaq_deploy.rsi.lag_sweep import Course, motions
+    from deltaq_deploy.rsi.lag_sweep import DrivenSweep, motions
 
     states = leased.states()
     state = next(states)
@@ -99,11 +99,13 @@ def _courses(leased: BlockingRobot, cycle_s: float, quiet: bool) -> list[Course]
                     f"{leased.name} was held ({state.reason}) while {leased.summary.joints[axis]} moved"
                 )
             seen.append(state)
-        courses.append(Course.of(motion, seen))
+        courses.append(DrivenSweep.of(motion, seen))
     return courses
 
 
-def _measured(joints: Sequence[str], courses: Sequence[Course], cycle_s: float) -> dict[str, MeasuredAxis]:
+def _measured(
+    joints: Sequence[str], courses: Sequence[DrivenSweep], cycle_s: float
+) -> dict[str, MeasuredAxis]:
     from deltaq_deploy.rsi.lag_sweep import measured_axis
 
     measured = {}
@@ -166,7 +168,7 @@ def _figures(one: MeasuredAxis) -> tuple[float, ...]:
     return one.lag.dead_s, one.lag.half_s, one.lag.settled_s, one.moving_s
 
 
-def _draw(path: Path, joints: Sequence[str], courses: Sequence[Course], cycle_s: float) -> None:
+def _draw(path: Path, joints: Sequence[str], courses: Sequence[DrivenSweep], cycle_s: float) -> None:
     """Each axis' first step and first sweep, sent and measured, as shares of the way."""
     import matplotlib
 

@@ -45,7 +45,7 @@ robots:
       bodies:
         gripper: {shape: {kind: box, size_m: [0.06, 0.26, 0.07]}, pose: {position_m: [0, 0, 0.105]}}
     attachments:
-      plate: {link: link_1, shape: {kind: sphere, radius_m: 0.1}, pose: {position_m: [0.1, 0.3, -0.2]}}
+      plate: {link: link_1, shape: {kind: sphere, radius_m: 0.1}, pose: {position_m: [0.1, 0.3, 0.0]}}
     outputs: [gripper]
 structure:
   floor: {shape: {kind: box, size_m: [8, 10, 0.2]}, pose: {position_m: [0, 0, -0.111]}, colour_rgba: [0.4, 0.4, 0.4, 1]}

@@ -9,7 +9,7 @@ import pytest
 from deltaq_cell.description import ServoLag
 from deltaq_cell.drive_lag import modelled_lag
 from deltaq_cell.load import load_cell
-from deltaq_deploy.rsi.lag_sweep import Course, measured_axis, motions
+from deltaq_deploy.rsi.lag_sweep import DrivenSweep, measured_axis, motions
 from deltaq_emulator.servo import Servo
 
 GR, FR = (load_cell("lab").robots[name] for name in ("gr", "fr"))
@@ -32,7 +32,7 @@ def courses_of(robot, lag, cycle_s, lost=(), stuck=()):
             if number == 0 or cycle % 50 not in lost:
                 states.append(SimpleNamespace(cycle=cycle, q=q, q_cmd=setpoint))
             servo.advance(setpoint)
-        courses.setdefault(motion.axis, []).append(Course.of(motion, states))
+        courses.setdefault(motion.axis, []).append(DrivenSweep.of(motion, states))
     np.testing.assert_allclose(setpoint, robot.home, atol=1e-9)
     return courses
 

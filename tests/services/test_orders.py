@@ -8,7 +8,7 @@ from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.orders import Orders
 from deltaq_services.sim.tracker import Tracker
-from deltaq_services.sim.tube import Drives
+from deltaq_services.sim.tube import DriveBounds
 
 LAG = 4
 CYCLE_S = small_cell().cycle_s
@@ -23,7 +23,7 @@ class Rig:
     def __init__(self, robot="fr"):
         self.robot = robot
         description = small_cell().robots[robot]
-        drives = Drives(LAG - 1, description.tracking_tolerance.copy(), 0.0)
+        drives = DriveBounds(LAG - 1, description.tracking_tolerance.copy(), 0.0)
         self.tracker = Tracker(robot, description, drives, CYCLE_S)
         self.orders = Orders(self.tracker, HLI_TIMEOUT)
         self.cycle = 100

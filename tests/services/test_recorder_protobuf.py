@@ -37,7 +37,7 @@ VERDICT = Verdict(
     seq=2**62,
     outcome=Outcome.HELD,
     scale=-0.0,
-    dq=(0.1, -0.0, 5e-324, -1.7976931348623157e308),
+    dq=(0.1, -0.0, 5e-324, -999999.9999999999),
     reasons=(
         Reason(code=ReasonCode.CLEARANCE, what="a b", value=-0.0),
         Reason(code=ReasonCode.RETREAT, bound=0.0),

@@ -6,14 +6,14 @@ from small_cell import server_state, small_cell
 
 from deltaq_protocol.guarded import Admission, Plan
 from deltaq_services.sim.tracker import Tracker
-from deltaq_services.sim.tube import Drives, drives_of
+from deltaq_services.sim.tube import DriveBounds, drives_of
 
 LAG = 4
 """Setpoints that the drives may be at."""
 CELL = small_cell()
 CYCLE_S = CELL.cycle_s
 FR, GR = CELL.robots["fr"], CELL.robots["gr"]
-FR_DRIVES = Drives(LAG - 1, FR.tracking_tolerance.copy(), 0.0)
+FR_DRIVES = DriveBounds(LAG - 1, FR.tracking_tolerance.copy(), 0.0)
 
 
 @pytest.fixture
@@ -294,7 +294,7 @@ def test_the_joint_off_its_path_is_the_one_furthest_beyond_its_own_tolerance():
     q = np.zeros(9)
     q[lesser], q[greater] = 1.9 * tolerance[lesser], 1.2 * tolerance[greater]
     assert q[greater] > q[lesser]
-    tracker = Tracker("gr", GR, Drives(LAG - 1, GR.tracking_tolerance.copy(), 0.0), CYCLE_S)
+    tracker = Tracker("gr", GR, DriveBounds(LAG - 1, GR.tracking_tolerance.copy(), 0.0), CYCLE_S)
     tracker.observe(server_state("gr", 1, q_cmd=(0.0,) * 9, q=tuple(q)))
     assert tracker.off_path()[0] == lesser
 
@@ -346,7 +346,9 @@ def test_with_a_lookahead_what_is_still_due_is_not_counted_as_missed():
 
 def moving_in_flight():
     """A robot with three admissions in flight, what it is sent if it takes them all, and those setpoints."""
-    tracker = Tracker("fr", FR, Drives(7, FR.tracking_tolerance.copy(), 0.0), CYCLE_S, lookahead_cycles=4)
+    tracker = Tracker(
+        "fr", FR, DriveBounds(7, FR.tracking_tolerance.copy(), 0.0), CYCLE_S, lookahead_cycles=4
+    )
     still = Plan(dq=(0.0,) * 6, brake_cycles=1, step=1)
     for cycle in range(1, 11):
         tracker.observe(server_state("fr", cycle, q_cmd=(0.0,) * 6, q=(0.0,) * 6, dq=(0.0,) * 6, plan=still))

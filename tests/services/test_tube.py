@@ -13,7 +13,7 @@ from deltaq_cell.kernel.span import off_hull, widths
 from deltaq_emulator.servo import Servo
 from deltaq_protocol.brake import brake_cycles, brake_increment
 from deltaq_services.sim.history import History
-from deltaq_services.sim.tube import Branch, Drives, Span, Windows, tube
+from deltaq_services.sim.tube import Branch, DriveBounds, Span, Windows, tube
 
 LAG = 6
 CYCLE_S = 0.012
@@ -162,7 +162,7 @@ def test_the_emulated_drives_never_leave_the_windows_while_they_brake(lag_s, dea
     random = np.random.default_rng(seed)
     n, max_dv = 3, MAX_DV if damping == 1.0 else MAX_DV / 4
     spread = (max(dead_times_s) - min(dead_times_s)) / CYCLE_S / 2
-    drives = Drives(round(lag_s / CYCLE_S), np.full(n, np.deg2rad(0.05)), spread)
+    drives = DriveBounds(round(lag_s / CYCLE_S), np.full(n, np.deg2rad(0.05)), spread)
     plant, q_cmd, dq = SpreadDrives(lags(dead_times_s, damping)), np.zeros(n), np.zeros(n)
     history = History(drives.lag)
     for _ in range(int(random.integers(drives.lag + 1, 60))):

@@ -3,12 +3,12 @@
 import daqp
 import numpy as np
 
-from deltaq_services.sim.tube import Drives
+from deltaq_services.sim.tube import DriveBounds
 
 
 def exact_drives(lag, joints=2, tolerance=0.0):
-    """Drives that are in the hull of their setpoints, and all lag alike."""
-    return Drives(lag, np.full(joints, tolerance), 0.0)
+    """DriveBounds that are in the hull of their setpoints, and all lag alike."""
+    return DriveBounds(lag, np.full(joints, tolerance), 0.0)
 
 
 def is_inside(span, q, slack):

@@ -26,7 +26,7 @@ _REST_S = 2 * LONGEST_S
 
 
 @dataclass(frozen=True)
-class Motion:
+class SweepMotion:
     """One motion of one axis.
 
     Attributes:
@@ -40,7 +40,7 @@ class Motion:
     increments: Array
 
 
-def motions(summary: RobotSummary, q: Sequence[float], cycle_s: float) -> Iterator[Motion]:
+def motions(summary: RobotSummary, q: Sequence[float], cycle_s: float) -> Iterator[SweepMotion]:
     """The motions of a measurement that begins at `q` (n,) [rad or m]; each axis ends where it began."""
     for axis, unit in enumerate(summary.units):
         inwards = 1.0 if q[axis] < (summary.lower[axis] + summary.upper[axis]) / 2 else -1.0
@@ -54,7 +54,7 @@ def motions(summary: RobotSummary, q: Sequence[float], cycle_s: float) -> Iterat
         rest = np.zeros(math.ceil(_REST_S / cycle_s))
         for is_step, motion in ((True, step), (False, sweep)):
             for sign in (inwards, -inwards):
-                yield Motion(axis, is_step, np.concatenate([sign * motion, rest]))
+                yield SweepMotion(axis, is_step, np.concatenate([sign * motion, rest]))
 
 
 def _triangle(distance: float, half: int) -> Array:
@@ -62,7 +62,7 @@ def _triangle(distance: float, half: int) -> Array:
 
 
 @dataclass(frozen=True)
-class Course:
+class DrivenSweep:
     """The states of one motion.
 
     Attributes:
@@ -79,7 +79,7 @@ class Course:
     q: Array
 
     @classmethod
-    def of(cls, motion: Motion, states: Sequence[RobotState]) -> Course:
+    def of(cls, motion: SweepMotion, states: Sequence[RobotState]) -> DrivenSweep:
         """From the states since the motion began."""
         cycles = np.array([state.cycle for state in states], dtype=float)
         q_cmd, q = (
@@ -101,7 +101,7 @@ class MeasuredAxis:
     moving_s: float
 
 
-def measured_axis(courses: Sequence[Course], cycle_s: float) -> MeasuredAxis:
+def measured_axis(courses: Sequence[DrivenSweep], cycle_s: float) -> MeasuredAxis:
     """The lag that the courses of one axis show, two steps and two sweeps.
 
     Raises:
@@ -118,7 +118,7 @@ def measured_axis(courses: Sequence[Course], cycle_s: float) -> MeasuredAxis:
     )
 
 
-def _arrived(course: Course) -> tuple[float, Array]:
+def _arrived(course: DrivenSweep) -> tuple[float, Array]:
     """Time of the first value after the middle of the step [cycles], and which share has arrived, cycle by cycle."""
     begin, end = course.q[0], course.q_cmd[-1]
     distance = end - course.q_cmd[0]
@@ -129,13 +129,13 @@ def _arrived(course: Course) -> tuple[float, Array]:
     return float(evenly[0]) + 0.5 - _middle(course), (q - begin) / distance  # a sample is the mean around it
 
 
-def _middle(course: Course) -> float:
+def _middle(course: DrivenSweep) -> float:
     sent = np.diff(course.q_cmd)
     cycles = (course.cycles[1:] + course.cycles[:-1] + 1) / 2  # where states were lost, the middle of the gap
     return float((cycles * sent).sum() / sent.sum())
 
 
-def _trails(course: Course) -> float:
+def _trails(course: DrivenSweep) -> float:
     """Mean delay over a motion from rest to rest [cycles]."""
     evenly = np.arange(course.cycles[0], course.cycles[-1] + 1)
     q, q_cmd = (np.interp(evenly, course.cycles, values) for values in (course.q, course.q_cmd))

@@ -29,9 +29,8 @@ _TOLD_S = 0.4
 """A lag counts that was too long for so long, in motion and without a break: one sum may be wrong while a joint comes
 to rest, since its response is then older than its mean delay."""
 
-_SHARE_OF_TOLERANCE = 0.25
-"""Root of the sum of squared increments from which on a joint tells, as a share of its tracking tolerance: 5 deg/s do
-at 12 ms for a tolerance of one degree."""
+_LEAST_RAD, _LEAST_M = math.radians(0.25), 0.005
+"""Root of the sum of squared increments from which on a joint tells: 5 deg/s do at 12 ms."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +73,7 @@ class LagWatch:
         self._longest = math.ceil(LONGEST_S / cycle_s) + 1
         self._setpoints = np.tile(setpoint, (self._longest + 1, 1))  # newest first
         self._columns = np.arange(len(setpoint))
-        self._least = (_SHARE_OF_TOLERANCE * robot.tracking_tolerance) ** 2
+        self._least = np.array([_LEAST_RAD if unit == "rad" else _LEAST_M for unit in robot.units]) ** 2
         self._keep = math.exp(-cycle_s / _MEMORY_S)
         self._told_cycles = math.ceil(_TOLD_S / cycle_s)
         settles = [lag is not None and math.isfinite(lag.settled_s) for lag in lags]

@@ -19,7 +19,7 @@ from deltaq_protocol.guarded import Admission, ServerState, TrackerMemory
 from deltaq_protocol.setpoint_motion import SetpointMotion
 from deltaq_services.sim.courses import courses, motions, still_due
 from deltaq_services.sim.history import History
-from deltaq_services.sim.tube import Branch, Drives, Windows, tube
+from deltaq_services.sim.tube import Branch, DriveBounds, Windows, tube
 
 _ENDED_PROCESSES = 16
 """Processes of one Robot Server that are remembered: their states may be overtaken by those of their successor."""
@@ -45,7 +45,7 @@ class Tracker:
         self,
         name: str,
         description: RobotDescription,
-        drives: Drives,
+        drives: DriveBounds,
         cycle_s: float,
         lookahead_cycles: int = 1,
     ) -> None:

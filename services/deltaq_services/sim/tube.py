@@ -1,10 +1,10 @@
 """The tube: every configuration that a robot can be in from now until its brake has ended.
 
 The drives lag. A robot that was sent the setpoints c_1, c_2, ... is, at the time of c_t, in the hull of the last few
-of them or little beside it: stable drives that lag alike and do not overshoot are at a weighted mean of past setpoints,
-and `Drives` bounds what real ones are off it. The tube is therefore a sequence of overlapping windows. Each is the hull
-of `lag` + 1 consecutive setpoints and what lies beside it, held by a span of a few of them. The tube makes no statement
-of when the robot is where, so tubes of two robots can be compared as sets.
+of them or little beside it. Stable drives that lag alike and do not overshoot are at a weighted mean of past setpoints.
+`DriveBounds` bounds how far real ones are from there. The tube is therefore a sequence of overlapping windows. Each is
+the hull of `lag` + 1 consecutive setpoints and what lies beside it, held by a span of a few of them. The tube makes no
+statement of when the robot is where, so tubes of two robots can be compared as sets.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
-class Drives:
-    """How the drives of a robot follow its setpoints.
+class DriveBounds:
+    """Bounds of how the drives of a robot follow its setpoints.
 
     Attributes:
         lag: how many setpoints back they may be.
@@ -40,11 +40,11 @@ class Drives:
     spread: float
 
 
-def drives_of(description: RobotDescription, gate: GateDescription, cycle_s: float) -> Drives:
+def drives_of(description: RobotDescription, gate: GateDescription, cycle_s: float) -> DriveBounds:
     """The drives of a robot as a cell describes them; `servo_lag_s` counts from the sending of a setpoint."""
     lag = max(1, math.ceil(gate.servo_lag_s / cycle_s - _ROUNDING))
     # a copy, since the kernel takes no array that cannot be written to
-    return Drives(lag, description.tracking_tolerance.copy(), gate.servo_lag_spread_s / cycle_s / 2)
+    return DriveBounds(lag, description.tracking_tolerance.copy(), gate.servo_lag_spread_s / cycle_s / 2)
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class Span:
 
         Args:
             points: (k, n) setpoints of that part [rad or m].
-            tolerance: (n,) as `Drives` has it.
+            tolerance: (n,) as `DriveBounds` has it.
             spread: likewise.
         """
         middle, half, offsets, deviation = span_around(points)
@@ -154,7 +154,7 @@ class Windows:
     """
 
     points: Array
-    drives: Drives
+    drives: DriveBounds
     first: int
     last: int
 
@@ -175,7 +175,7 @@ class Windows:
         return replace(self, last=middle), replace(self, first=middle + 1)
 
 
-def tube(history: Array, branch: Branch, drives: Drives, measured: Array | None = None) -> Windows:
+def tube(history: Array, branch: Branch, drives: DriveBounds, measured: Array | None = None) -> Windows:
     """The tube of one course.
 
     Args:
