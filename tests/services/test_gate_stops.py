@@ -4,14 +4,23 @@ The whole stack runs in virtual time; an oracle that shares no bound with the ga
 controllers' own records.
 """
 
+import math
+import re
+
 import numpy as np
 import pytest
+from spread_drives import SpreadServo
 
+from deltaq_cell.description import ServoLag
+from deltaq_cell.drive_lag import modelled_lag
+from deltaq_cell.find import find_cell
+from deltaq_emulator import drives
 from deltaq_protocol.messages import Outcome
 from deltaq_verification.oracle import ClearanceOracle, limit_violations
 from deltaq_verification.virtual_cell.cell import VirtualCell
 
 pytestmark = pytest.mark.long
+CYCLE_S = 0.012
 
 
 @pytest.fixture(scope="module")
@@ -22,8 +31,8 @@ def oracle():
 class Attack:
     """Drives FR with one request after the other and keeps what the emulated controllers did."""
 
-    def __init__(self, oracle):
-        self.stack = VirtualCell("lab")
+    def __init__(self, oracle, cell="lab"):
+        self.stack = VirtualCell(cell)
         self.stack.run_until_ready()
         self.stack.acquire("fr", "attacker")
         self.fr = self.stack.cell.robots["fr"]
@@ -107,6 +116,43 @@ def test_full_speed_at_the_other_robot_is_stopped_short_and_retreats(oracle):
     gr = attack.stack.cell.robots["gr"]
     attack.drive(attack.towards(gr.forward(gr.home)[:3, 3]), 150)
     assert_stopped_short_and_retreats(attack)
+
+
+LAGS = [(mean_s, damping) for mean_s in (0.048, 0.072, 0.096, 0.12, 0.156) for damping in (1.0, 0.7, 0.5)]
+"""Mean lag of the slowest joint, from sending to measuring, and damping; 50 ms of it are response [s]."""
+
+
+def lagging_cell(folder, mean_s, damping, spread_s):
+    """The lab cell on drives of that lag, with a gate that presumes what they do."""
+    response_s = min(0.05, mean_s - 2 * CYCLE_S)
+    dead_s = mean_s - 2 * CYCLE_S - response_s
+    lag = ServoLag(dead_time_s=dead_s, natural_frequency_rad_s=2 * damping / response_s, damping=damping)
+    settled_s = modelled_lag(lag, CYCLE_S).settled_s + spread_s
+    presumed_s = CYCLE_S * (1 + math.ceil(settled_s / CYCLE_S))
+    text = find_cell("lab").read_text(encoding="utf-8")
+    emulated = f"dead_time_s: {lag.dead_time_s}, natural_frequency_rad_s: {lag.natural_frequency_rad_s}"
+    text = re.sub(r"servo_lag: {[^}]*}", f"servo_lag: {{{emulated}, damping: {damping}}}", text)
+    gate = f"servo_lag_s: {presumed_s}\n  servo_lag_spread_s: {max(spread_s, 0.012)}"
+    file = folder / "lagging.yaml"
+    file.write_text(text.replace("servo_lag_s: 0.072", gate), encoding="utf-8")
+    return file
+
+
+@pytest.mark.by_day(1)
+@pytest.mark.parametrize("spread_s", [0.036, 0.0, 0.012, 0.024])
+@pytest.mark.parametrize(("mean_s", "damping"), [(0.12, 1.0), *(lag for lag in LAGS if lag != (0.12, 1.0))])
+def test_drives_of_any_lag_and_spread_that_is_presumed_keep_the_stop_distance_or_are_held(
+    oracle, tmp_path, monkeypatch, mean_s, damping, spread_s
+):
+    """Full speed at the other robot; drives that swing out by more than the tolerance are held, and keep it too."""
+    monkeypatch.setattr(SpreadServo, "spread_s", spread_s)
+    monkeypatch.setattr(drives, "Servo", SpreadServo)
+    attack = Attack(oracle, lagging_cell(tmp_path, mean_s, damping, spread_s))
+    gr = attack.stack.cell.robots["gr"]
+    attack.drive(attack.towards(gr.forward(gr.home)[:3, 3]), 150)
+    assert Outcome.ADMITTED in {verdict.outcome for verdict in attack.verdicts}
+    assert attack.least >= 0.05 - 1e-4
+    assert attack.violations().total == 0
 
 
 def test_full_speed_at_a_pipe_is_stopped_short_and_retreats(oracle):
