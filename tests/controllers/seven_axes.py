@@ -57,6 +57,7 @@ def cell() -> CellModel:
         server=kr16.server,
         driver=kr16.driver,
         joints=joints,
+        servo_lag=kr16.servo_lag,
         base=kr16.base.model_copy(update={"position_m": (-0.402, 0.486, 0.4)}),
         camera=Camera.model_validate({"pose": {"position_m": [0.05, 0.03, 0.1], "rpy_deg": [0, 0, 0]}}),
     )

@@ -136,7 +136,7 @@ def test_what_a_function_is_given_is_part_of_its_code(tmp_path: Path) -> None:
     assert folder_of(package, tmp_path) != first
 
 
-@pytest.mark.parametrize("decorator", ["compiled", "inlined", "makes_no_array", "waits"])
+@pytest.mark.parametrize("decorator", ["compiled", "inlined", "makes_no_array"])
 def test_every_function_that_may_be_part_of_another_is_part_of_its_code(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, decorator: str
 ) -> None:

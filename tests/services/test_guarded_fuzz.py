@@ -63,7 +63,12 @@ def states(draw: st.DrawFn) -> ServerState:
 
 
 REQUESTS = st.builds(
-    Request, robot=ROBOTS, cycle=NUMBERS, lease_epoch=NUMBERS, seq=NUMBERS, dq=st.none() | JOINTS
+    Request,
+    robot=ROBOTS,
+    cycle=NUMBERS,
+    lease_epoch=NUMBERS.filter(lambda epoch: epoch < 2**62),
+    seq=NUMBERS,
+    dq=st.none() | JOINTS,
 )
 COMMANDS = st.builds(
     Command, id=NUMBERS, kind=st.sampled_from(["stop", "reset", "io"]), robot=st.none() | ROBOTS, outputs=OUTPUTS

@@ -17,7 +17,7 @@ from deltaq_testing.schedule import fault
 STEP = 0.004
 
 def open_loop(state):
-    return [STEP if state.cycle < 100 else 0.0, 0, 0, 0, 0, 0]
+    return [STEP if state.cycle < 138 else 0.0, 0, 0, 0, 0, 0]
 """
 
 

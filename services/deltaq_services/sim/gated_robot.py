@@ -50,7 +50,7 @@ class GatedRobot:
     @property
     def parts(self) -> tuple[object, ...]:
         """The objects that change."""
-        return self, self.tracker, self.orders, self.inbox
+        return self, self.tracker, self.tracker.history, self.orders, self.inbox
 
     def snapshot(self) -> RobotMemory:
         """Snapshot for `restore`."""

@@ -52,7 +52,7 @@ class History:
     @property
     def is_full(self) -> bool:
         """Whether it has every setpoint that the drives may be at."""
-        return self._cycles == self._lag + 1
+        return self._cycles > self._lag
 
     @property
     def rests(self) -> bool:

@@ -38,6 +38,7 @@ class Tracker:
         in_flight: admissions that no state has confirmed or outdated yet, each following the one before it.
         missed: admissions that the Robot Server did not take.
         restarted: whether the newest state is the first of another Robot Server process.
+        history: the setpoints that its drives may still be at.
         displaced: whether its setpoint is not where the increments since the last state can have brought it.
     """
 
@@ -61,7 +62,7 @@ class Tracker:
         self._fastest = description.max_velocity * cycle_s
         self.units = description.units
         self._limits = np.maximum(np.abs(description.lower), np.abs(description.upper))
-        self._history = History(self.drives.lag)
+        self.history = History(self.drives.lag)
         self._ended: deque[int] = deque(maxlen=_ENDED_PROCESSES)
         self._off: tuple[Array, Array] | None = None
 
@@ -75,7 +76,7 @@ class Tracker:
             self.restarted = True
             self._ended.append(self.state.process)
             # the robot has been braked along one of its courses, and the drives may be anywhere on it
-            self._history.may_have_been_sent(self._possible())
+            self.history.may_have_been_sent(self._possible())
             self._fly(())
         elif self.state is not None:
             if state.cycle == self.state.cycle and state.time_s >= self.state.time_s:
@@ -93,7 +94,7 @@ class Tracker:
         self._fly(still)
         # in a new session the drives are held where the KRC says, and a reset continues from there
         setpoint = np.array(state.q_cmd if state.q_reset is None else state.q_reset)
-        self._history.sent(setpoint, passed=not missed_reply)
+        self.history.sent(setpoint, passed=not missed_reply)
         return True
 
     def _possible(self) -> list[Array]:
@@ -109,10 +110,10 @@ class Tracker:
             sent = motions(self._now(), before.cycle, chain, unheard + 1)
             if np.array_equal(sent[-1].q_cmd, state.q_cmd):
                 for motion in sent[1:-1]:
-                    self._history.sent(motion.q_cmd)
+                    self.history.sent(motion.q_cmd)
                 return
         if unheard > 0:
-            self._history.may_have_been_sent(self._possible())
+            self.history.may_have_been_sent(self._possible())
 
     def _is_displaced(self, before: ServerState, state: ServerState) -> bool:
         if state.q_cmd == before.q_cmd:
@@ -125,7 +126,7 @@ class Tracker:
 
     def snapshot(self) -> TrackerMemory:
         """Snapshot for `restore`."""
-        history, passed = self._history.snapshot()
+        history, passed = self.history.snapshot()
         return TrackerMemory(
             state=self.state,
             ended_processes=tuple(self._ended),
@@ -139,7 +140,7 @@ class Tracker:
         """Restore a snapshot of another tracker of this robot."""
         self.state, self.missed = memory.state, memory.missed
         self._fly(memory.in_flight)
-        self._history.restore(memory.history, memory.passed)
+        self.history.restore(memory.history, memory.passed)
         self._ended.clear()
         self._ended.extend(memory.ended_processes)
         self._off = None
@@ -147,12 +148,12 @@ class Tracker:
     @property
     def q_cmd(self) -> Array:
         """(n,) present setpoint [rad or m]."""
-        return self._history.newest
+        return self.history.newest
 
     @property
     def is_known(self) -> bool:
         """Whether every setpoint is known that the drives may be at: states came for as long as they lag."""
-        return self.state is not None and self._history.is_full
+        return self.state is not None and self.history.is_full
 
     def admitted(self, admission: Admission) -> None:
         """An admission was sent, which follows all that are in flight."""
@@ -201,7 +202,7 @@ class Tracker:
         """The tube of one course from the present setpoint."""
         assert self.state is not None  # asked only of robots that have been heard
         measured = None if self.off_path() is None else np.array(self.state.q)
-        return tube(self._history.array(), branch, self.drives, measured)
+        return tube(self.history.array(), branch, self.drives, measured)
 
     def before(self) -> Windows:
         """The tube of what is in flight: what comes before a course that is decided next."""
@@ -213,14 +214,14 @@ class Tracker:
         A joint that stands outside its limits goes no further out.
         """
         assert self.state is not None  # asked only of robots that have been heard
-        known = np.abs(np.vstack([self._history.array(), self.state.q]))
+        known = np.abs(np.vstack([self.history.array(), self.state.q]))
         farthest: Array = np.maximum(known.max(axis=0), self._limits)
         return farthest + self.drives.tolerance + self.drives.spread * self._fastest
 
     def tube_of_setpoints(self, branch: Branch) -> Windows:
         """The tube of drives that are exactly in the hull of their setpoints, wherever the robot is measured to be."""
         exact = replace(self.drives, tolerance=np.zeros_like(self.drives.tolerance), spread=0.0)
-        return tube(self._history.array(), branch, exact)
+        return tube(self.history.array(), branch, exact)
 
     def tubes(self) -> list[Windows]:
         """The tubes of every course that the robot may take."""
@@ -243,7 +244,7 @@ class Tracker:
     def at_rest(self) -> bool:
         """Whether nothing is left to send and the drives have caught up."""
         brake, *_ = self._courses()
-        return self._history.rests and not brake.setpoints(self.q_cmd).size
+        return self.history.rests and not brake.setpoints(self.q_cmd).size
 
     def stands_still(self) -> bool:
         """Whether it is at rest, and nothing is in flight that could set it in motion."""
@@ -253,7 +254,7 @@ class Tracker:
         """The joint that left what is certified of the commanded path: index, distance, what is allowed [rad or m]."""
         if self._off is None:
             assert self.state is not None  # asked only of robots that have been heard
-            history = self._history.array()
+            history = self.history.array()
             allowed = widths(history, self.drives.tolerance, self.drives.spread)
             self._off = np.abs(off_hull(history, np.array(self.state.q), allowed)), allowed
         distance, allowed = self._off
