@@ -26,53 +26,47 @@ SEEDS = 10
 BEFORE = f"""# The modes compared
 
 `python -m studies.peg_and_valve_page` writes this page; `deltaq peg-and-valve` prints the same figures.
-A scripted operator brings the hand of the gantry robot to a hole, inserts a peg by {1000 * PEG_M:.0f} mm and removes
-it, moves to a valve and turns it by 60 degrees, in virtual time, through the gate. The seed places hole and
-valve within {1000 * PLACED_M:.0f} mm and 10 degrees of their usual places, and determines the operator; all modes
-have the same seeds. Each cell of the table has the median over the seeds, with the quartiles in brackets, and then
-the worst, with its seed.
+A scripted operator inserts a peg by {1000 * PEG_M:.0f} mm into a hole and removes it, then turns a valve by 60 degrees,
+with the gantry robot, in virtual time, through the gate. The seed places hole and valve within
+{1000 * PLACED_M:.0f} mm and 10 degrees of their usual places, and determines the operator. Each cell of the table has
+the median over the seeds, the quartiles in brackets, and the worst, with its seed.
 
 """
 
 BETWEEN = f"""
 `self-motion` and `advisor` are `decoupled` with a change of posture before each piece of work. In `joint` mode
-the operator is assumed to know the goal of each joint, as with taught points, and divides each straight
-line into ten; an operator who does not know the goals is slower still. Margins are fractions of half a joint's range,
-at the goals. With the advisor the operator takes the option with the largest margin, and asks again when the hand
-is stopped. The advisor's computing time is not counted.
+the operator knows the goal of each joint, and divides each straight line into ten. Margins are fractions of half a
+joint's range, at the goals. With the advisor the operator takes the option with the largest margin. The advisor's
+computing time is not counted.
 
-## No contact, a tolerance
+## Assumptions
 
-Hole and valve are in free space. A tolerance replaces contact: a peg more than {OFF_MM:g} mm off
-the hole's axis or more than {TILT_DEG:g} degree tilted would touch the hole. A hand more than {OFF_MM:g} mm off the
-valve's axis would touch the valve. That is an assumption. The effect of a touch (jamming, slipping, guiding) is not in
-these figures; the operator continues as if nothing had happened.
+Hole and valve are in free space, and a tolerance replaces contact: a peg more than {OFF_MM:g} mm off the hole's axis
+or more than {TILT_DEG:g} degree tilted, or a hand more than {OFF_MM:g} mm off the valve's axis, would touch. The effect
+of a touch is not in these figures.
 
-## The operator
+The operator
 
-- Reacts after {REACTION_S:g} s, which varies by a tenth from one operator to the next. Simple visual reactions
+- reacts after {REACTION_S:g} s, which varies by a tenth. Simple visual reactions
   take 0.2 to 0.3 s (Woods et al., Front. Hum. Neurosci. 9:131, 2015); the spread is an assumption.
-- Is noisy: a rate deviates by {100 * NOISE:.0f} % of the whole command, in all axes of the stick, with a memory
-  of {NOISE_MEMORY_S:g} s. That noise grows with the signal is a result of Harris and Wolpert (Nature 394:780, 1998).
-  A tenth is the order of magnitude that van Beers, Haggard and Wolpert find for reaching (J. Neurophysiol. 91:1050,
-  2004). That this holds for a hand controller, and the memory, are assumptions.
-- Slips in {100 * SLIP:g} % of the actions, HEART's figure for a routine, highly practised, rapid task
-  (Williams, 1986): the operator takes the wrong axis or joint, pushes the wrong way, releases too late, or chooses
-  the wrong option, all equally likely. A continuous motion counts as an action every {ACTION_S:g} s. A slip ends one
-  reaction later. Kinds, actions and duration are assumptions.
+- is noisy: a rate deviates by {100 * NOISE:.0f} % of the command, with a memory of {NOISE_MEMORY_S:g} s. Noise
+  grows with the signal (Harris and Wolpert, Nature 394:780, 1998), of the order of a tenth in reaching
+  (van Beers, Haggard and Wolpert, J. Neurophysiol. 91:1050, 2004). That this holds for a hand controller, and the
+  memory, are assumptions.
+- slips in {100 * SLIP:g} % of the actions, HEART's figure for a routine, highly practised, rapid task
+  (Williams, 1986): wrong axis or joint, wrong way, late release, or wrong option, all equally likely. A continuous
+  motion counts as an action every {ACTION_S:g} s. A slip ends one reaction later. These details are assumptions.
 
-## What the paper concludes
+## Conclusions of the paper
 
-Hooper and Noakes (section V) report what they found in use, without figures. Here a question is asked of each seed.
-A conclusion is called supported if the answer is yes for at least {100 * MOST:.0f} % of the seeds, and not supported
-if it is yes for at most {100 * FEW:.0f} %.
+Hooper and Noakes (section V) give no figures. A conclusion is supported if the answer to the question is yes for at
+least {100 * MOST:.0f} % of the seeds, and not supported if it is yes for at most {100 * FEW:.0f} %.
 
 """
 
 AFTER = """
-All modes are used in one cell, whose description is complete. So these figures do not show how the modes perform if
-obstacles are not known, nor how they lead out of difficult configurations. An operator that is a program does not
-tire, does not learn, and sees poses where people see pictures.
+The cell's description is complete, so the figures do not show the modes among unknown obstacles or in difficult
+configurations. The scripted operator does not tire, does not learn, and sees poses where people see pictures.
 """
 
 
