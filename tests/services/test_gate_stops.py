@@ -128,7 +128,7 @@ def lagging_cell(folder, mean_s, damping, spread_s):
     dead_s = mean_s - 2 * CYCLE_S - response_s
     lag = ServoLag(dead_time_s=dead_s, natural_frequency_rad_s=2 * damping / response_s, damping=damping)
     settled_s = modelled_lag(lag, CYCLE_S).settled_s + spread_s
-    presumed_s = CYCLE_S * (1 + math.ceil(settled_s / CYCLE_S))
+    presumed_s = CYCLE_S * (2 + math.ceil(settled_s / CYCLE_S))  # as measured, to a cycle, and one more
     text = find_cell("lab").read_text(encoding="utf-8")
     emulated = f"dead_time_s: {lag.dead_time_s}, natural_frequency_rad_s: {lag.natural_frequency_rad_s}"
     text = re.sub(r"servo_lag: {[^}]*}", f"servo_lag: {{{emulated}, damping: {damping}}}", text)
