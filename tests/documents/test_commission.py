@@ -48,9 +48,10 @@ def test_the_commands_of_the_guide_run_as_they_stand(tmp_path: Path) -> None:
                 check=False,
             )
             # a busy machine may give the telegrams a problem to report; nothing else may be wrong
-            assert done.returncode in ((0, 1) if " rsi " in line else (0,)), done.stderr
+            listens = "sniff" in line or "echo" in line
+            assert done.returncode in ((0, 1) if listens else (0,)), done.stderr
             assert "Traceback" not in done.stderr
-            if " rsi " in line:
+            if listens:
                 assert '"telegrams": 0' not in done.stdout
     assert {file.name for file in (tmp_path / "krc-files").iterdir()} == {"fr_ethernet.xml", "deltaq_fr.src"}
     first = (tmp_path / "krc-first" / "deltaq_fr.src").read_text()
