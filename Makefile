@@ -1,6 +1,6 @@
 # make demo: the emulated lab cell, a leader and the camera follower, for DEMO_S seconds.
 # make test: lint, types, rooms and tests.
-# Both need Python 3.11 or newer and make, and nothing else.
+# Both need Python 3.11 or newer with venv, and make.
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
@@ -8,9 +8,12 @@ SHELL := /bin/bash
 
 VENV := .venv
 BIN := $(VENV)/bin
-INSTALLED := $(VENV)/.installed
+# each says by its name which extras are installed: what a user needs, that and the site's tools, all that tests need
+USERS := $(VENV)/.installed-all
+SITE := $(VENV)/.installed-all,docs
+INSTALLED := $(VENV)/.installed-dev,docs
 QUIETLY := --quiet --disable-pip-version-check
-EVERYTHING := -c constraints.txt --no-build-isolation -e '.[dev]'
+WANTED = -c constraints.txt --no-build-isolation -e '.[$*]'
 COMPILED := compiled-gate compiled-camera compiled-modes
 DEMO_S ?= 60
 # how many mutants are judged at a time, and of which modules; of all if none is given
@@ -29,12 +32,12 @@ export PYTHONDONTWRITEBYTECODE :=
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
 
-install: $(INSTALLED) ## make .venv, install everything, and compile what the first start would
-	@$(MAKE) --no-print-directory --jobs=2 $(COMPILED) LAWS=paper
+install: $(USERS) ## make .venv, install what a user needs, and compile what the first start would
+	@$(MAKE) --no-print-directory --jobs=2 $(COMPILED) LAWS=paper INSTALLED=$(USERS)
 
 # what is imported is compiled then: all modules of all packages take a minute. uv takes a sixth of pip's time; pip
 # installs where packages come from an index that only pip was told about
-$(INSTALLED): pyproject.toml constraints.txt
+$(VENV)/.installed-%: pyproject.toml constraints.txt
 	@python=$$(for name in python3.11 python3.12 python3.13 python3 python; do \
 	  "$$name" -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null \
 	    && { command -v "$$name"; break; }; done || true); \
@@ -45,9 +48,9 @@ $(INSTALLED): pyproject.toml constraints.txt
 	[ -x $(BIN)/python ] || "$$python" -m venv $(VENV)
 	$(BIN)/python -m pip install $(QUIETLY) -c constraints.txt hatchling editables
 	$(BIN)/python -m pip install $(QUIETLY) --only-binary uv -c constraints.txt uv \
-	  && $(BIN)/uv pip install --quiet --system-certs --python $(BIN)/python $(EVERYTHING) \
+	  && $(BIN)/uv pip install --quiet --system-certs --python $(BIN)/python $(WANTED) \
 	  || { echo "not with uv: pip looks where it was told to"; \
-	    $(BIN)/python -m pip install $(QUIETLY) --no-compile $(EVERYTHING); }
+	    $(BIN)/python -m pip install $(QUIETLY) --no-compile $(WANTED); }
 	touch $@
 
 # they do nothing where the machine code of these very sources is kept
@@ -60,7 +63,7 @@ compiled-camera: $(INSTALLED)
 compiled-modes: $(INSTALLED)
 	@$(BIN)/python -m deltaq_controllers.modes
 
-demo: $(INSTALLED) ## start the emulated lab cell and let the camera follow, for DEMO_S seconds
+demo: $(USERS) ## start the emulated lab cell and let the camera follow, for DEMO_S seconds
 	$(BIN)/deltaq demo --duration-s $(DEMO_S)
 
 test: $(INSTALLED) ## lint, types, rooms, tests
@@ -104,18 +107,18 @@ docs: $(INSTALLED) ## write docs/reference, and in deploy compose files, systemd
 	$(BIN)/python -m deltaq_deploy.foxglove
 	$(BIN)/python -m deltaq_deploy.grafana
 
-site: $(INSTALLED) ## the documentation as a site, with search and the Python API, in build/site
+site: $(SITE) ## the documentation as a site, with search and the Python API, in build/site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 	@echo "look at it with: $(BIN)/python -m http.server --bind 127.0.0.1 --directory build/site"
 
-site-version: $(INSTALLED) ## commit the site to the branch gh-pages as a version of its own, beside those before it
+site-version: $(SITE) ## commit the site to the branch gh-pages as a version of its own, beside those before it
 	PATH="$(CURDIR)/$(BIN):$$PATH" NO_MKDOCS_2_WARNING=1 $(BIN)/mike deploy --update-aliases \
 	  "$$($(BIN)/deltaq --version | cut -d' ' -f2)" latest
 
 figures: $(INSTALLED) ## run the paper's experiments and write camera-figures.md and attack-figures.md anew; takes hours
 	$(BIN)/python -m studies.claims
 
-wheels: $(INSTALLED) ## the wheels that the image installs, so that its build needs no Python package index
+wheels: $(USERS) ## the wheels that the image installs, so that its build needs no Python package index
 	rm -rf build/wheels
 	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check -c constraints.txt \
 	  --no-build-isolation -w build/wheels '.[all]'

@@ -116,6 +116,6 @@ def _shown_notebook(root: Path, path: str) -> str:
 
 def _diagram_scripts() -> list[Path]:
     console = find_spec("nicegui")
-    assert console is not None  # the extra dev has it
+    assert console is not None  # the extra docs has it
     folder = Path(os.fspath(console.origin or "")).parent / "elements" / "mermaid" / "dist"
     return sorted(folder.glob("*.js"))

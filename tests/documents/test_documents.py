@@ -4,10 +4,12 @@ import re
 import shlex
 import subprocess
 import sys
+from importlib.metadata import distributions
 from pathlib import Path
 
 import pytest
 import typer
+from packaging.specifiers import SpecifierSet
 from typer.testing import CliRunner
 
 from deltaq_command.app import app
@@ -81,6 +83,14 @@ def test_help_is_there_for_every_verb() -> None:
         result = CliRunner().invoke(app, [name, "--help"])
         assert result.exit_code == 0
         assert "Usage" in result.output
+
+
+@pytest.mark.skipif(sys.version_info >= (3, 12), reason="a newer Python has packages of its own")
+def test_every_pin_is_for_the_oldest_python_that_is_promised() -> None:
+    pins = set((ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines())
+    asked = {f"{one.name}=={one.version}": one.metadata["Requires-Python"] or "" for one in distributions()}
+    assert len(pins & asked.keys()) > 150
+    assert [pin for pin in pins & asked.keys() if not SpecifierSet(asked[pin]).contains("3.11.0")] == []
 
 
 def test_the_constraints_pin_versions_and_name_no_address() -> None:
