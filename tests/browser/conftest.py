@@ -160,17 +160,19 @@ def served_alone():
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     url = f"http://127.0.0.1:{port}"
     deadline = time.monotonic() + TIMEOUT_S
-    while True:
-        assert process.poll() is None
-        assert time.monotonic() < deadline
-        try:
-            urlopen(f"{url}/health").close()
-            break
-        except URLError:
-            time.sleep(0.2)
-    yield url
-    process.terminate()
-    process.wait(TIMEOUT_S)
+    try:
+        while True:
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            try:
+                urlopen(f"{url}/health").close()
+                break
+            except URLError:
+                time.sleep(0.2)
+        yield url
+    finally:
+        process.terminate()
+        process.wait(TIMEOUT_S)
 
 
 def status(fr=None, gr=None, **fields):

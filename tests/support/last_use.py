@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import pytest
 
-SHARED = ("shared_stack", "chromium")
+SHARED = ("shared_stack", "lone_console", "chromium")
 """Fixtures of the session that end after their last test; the order in which their files run."""
 
 T = TypeVar("T")
