@@ -25,6 +25,7 @@ from deltaq_protocol.client import Cell
 from deltaq_protocol.codec import InvalidMessageError
 from deltaq_protocol.errors import RefusedError
 from deltaq_protocol.messages import Outcome, RobotState, Sight, ToolPose, Verdict, ViewTarget
+from deltaq_protocol.reasons import ReasonCode
 
 pytestmark = pytest.mark.live
 
@@ -124,6 +125,7 @@ def test_a_running_follower_turns_from_a_target_that_is_hidden_to_the_next_and_s
             told: list[tuple[ViewTarget, Sight | None]] = []
             for state in cell.states("fr"):
                 assert follower.poll() is None
+                assert state.reason is not ReasonCode.KRC_LOST  # such a robot turns to nothing any more
                 if state.target is not None and (state.target, state.sight) not in told:
                     told.append((state.target, state.sight))
                 if state.target == ViewTarget(leader="gr"):
