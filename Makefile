@@ -101,9 +101,9 @@ mutation: $(INSTALLED) ## change gate and guards in small ways, and see each cha
 	$(BIN)/python tests/mutation/judge_mutants.py $(JOBS) $(MODULES)
 
 docs: $(INSTALLED) ## write docs/reference, and in deploy compose files, systemd, foxglove and grafana, anew from the code
-	$(BIN)/python -m deltaq_command.reference
-	$(BIN)/python -m deltaq_launch.compose
-	$(BIN)/python -m deltaq_launch.systemd
+	$(BIN)/python -m deltaq_deploy.command.reference
+	$(BIN)/python -m deltaq_deploy.launch.compose
+	$(BIN)/python -m deltaq_deploy.launch.systemd
 	$(BIN)/python -m deltaq_deploy.foxglove
 	$(BIN)/python -m deltaq_deploy.grafana
 

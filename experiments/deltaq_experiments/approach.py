@@ -18,7 +18,7 @@ from deltaq_experiments.starts import start_with_error
 from deltaq_experiments.trace import time_to_stay_below
 from deltaq_experiments.virtual import RunRecord, record
 from deltaq_protocol.arrays import Array
-from deltaq_verification.counts import GateCounts, LimitCounts
+from deltaq_testing.counts import GateCounts, LimitCounts
 
 DURATION_S = 5.0
 START_ERRORS_DEG = (83.0, 134.0, 145.0)

@@ -31,8 +31,8 @@ from deltaq_experiments.trace import Trace
 from deltaq_experiments.virtual import RunRecord, record, view_of
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
-from deltaq_verification.counts import GateCounts
-from deltaq_verification.oracle import ClearanceOracle
+from deltaq_testing.counts import GateCounts
+from deltaq_testing.oracle import ClearanceOracle
 
 # How hard an attack presses: in which share of the time the attacker could move as it wanted.
 

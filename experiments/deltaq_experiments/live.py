@@ -10,24 +10,24 @@ from pathlib import Path
 import numpy as np
 
 from deltaq_controllers.camera.scene import Scene
+from deltaq_deploy.launch.bring_to_rest import bring_to_rest
+from deltaq_deploy.launch.cell_connection import connect, listen
+from deltaq_deploy.launch.child_process import Exited
+from deltaq_deploy.launch.errors import LaunchError
+from deltaq_deploy.launch.launcher import Launcher
+from deltaq_deploy.launch.services import Role, Service, cell_services, demo_controllers, recorder
 from deltaq_experiments.last_lines import LastLines
 from deltaq_experiments.options import Options
 from deltaq_experiments.scene import added_delay_cycles
 from deltaq_experiments.trace import Trace
 from deltaq_experiments.virtual import RunRecord
-from deltaq_launch.bring_to_rest import bring_to_rest
-from deltaq_launch.cell_connection import connect, listen
-from deltaq_launch.child_process import Exited
-from deltaq_launch.errors import LaunchError
-from deltaq_launch.launcher import Launcher
-from deltaq_launch.services import Role, Service, cell_services, demo_controllers, recorder
 from deltaq_protocol import topics
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.codec import unpack
 from deltaq_protocol.messages import RobotState
-from deltaq_verification.counts import GateCounts
-from deltaq_verification.oracle import record_cycle_s
-from deltaq_verification.recorded import not_there_yet
+from deltaq_testing.counts import GateCounts
+from deltaq_testing.oracle import record_cycle_s
+from deltaq_testing.recorded import not_there_yet
 
 START_S = 30.0
 """Longest time that the motion to the start of a run may take [s]."""

@@ -39,7 +39,7 @@ from deltaq_experiments.peg_and_valve_operators import (
 )
 from deltaq_experiments.peg_and_valve_person import OperatorHand, Person
 from deltaq_protocol.arrays import Array
-from deltaq_verification.virtual_cell.cell import VirtualCell
+from deltaq_testing.virtual_cell.cell import VirtualCell
 
 PEG_M = 0.1
 TURN_RAD = np.deg2rad(60.0)

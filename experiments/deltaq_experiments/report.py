@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict
 
 from deltaq_experiments.panels import FigurePanel
 from deltaq_protocol.arrays import Array
-from deltaq_verification.counts import GateCounts, LimitCounts
+from deltaq_testing.counts import GateCounts, LimitCounts
 
 
 class Figures(BaseModel):

@@ -9,7 +9,7 @@ import numpy as np
 from deltaq_controllers.camera.scene import Scene
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
-from deltaq_verification.oracle import ClearanceOracle
+from deltaq_testing.oracle import ClearanceOracle
 
 LEAST_CLEARANCE_M = 0.15
 LEAST_SELF_CLEARANCE_M = 0.05

@@ -14,10 +14,10 @@ from deltaq_experiments.options import Options
 from deltaq_experiments.scene import added_delay_cycles, scene_of
 from deltaq_experiments.trace import Trace
 from deltaq_protocol.arrays import Array
-from deltaq_verification.counts import GateCounts
-from deltaq_verification.recorded import virtual_cell
-from deltaq_verification.virtual_cell.arm import KrcArm
-from deltaq_verification.virtual_cell.cell import VirtualCell
+from deltaq_testing.counts import GateCounts
+from deltaq_testing.recorded import virtual_cell
+from deltaq_testing.virtual_cell.arm import KrcArm
+from deltaq_testing.virtual_cell.cell import VirtualCell
 
 
 @dataclass(frozen=True)

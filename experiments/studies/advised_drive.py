@@ -15,7 +15,7 @@ from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.motion import ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_protocol.arrays import Array
-from deltaq_verification.virtual_cell.cell import VirtualCell
+from deltaq_testing.virtual_cell.cell import VirtualCell
 
 LONGEST_S = 120.0
 """Virtual time after which a robot that is not there has not reached its option."""

@@ -23,7 +23,7 @@ from deltaq_controllers.advisor.exact import ExactClearance
 from deltaq_controllers.advisor.problem import AdvisorProblem
 from deltaq_controllers.inverse.tracking import ConstraintTracker
 from deltaq_controllers.live import model_of
-from deltaq_launch.program import run_program
+from deltaq_deploy.launch.program import run_program
 from deltaq_protocol.arrays import Array
 from studies.advised_drive import driven_to
 

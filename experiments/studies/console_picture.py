@@ -18,7 +18,7 @@ from pathlib import Path
 from PIL import Image
 from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
 
-from deltaq_launch.program import run_program
+from deltaq_deploy.launch.program import run_program
 
 # the page itself is put together without SwiftShader, which draws only the 3D view
 FLAGS = (

@@ -25,7 +25,7 @@ from deltaq_controllers.modes.motion import HAND_AXES, ModeName, OperatorCommand
 from deltaq_controllers.modes.practice import practise
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.surroundings.surroundings import RobotSurroundings
-from deltaq_launch.program import run_program
+from deltaq_deploy.launch.program import run_program
 from deltaq_protocol.arrays import Array
 
 HAND_M_S, HAND_RAD_S = 0.1, 0.2

@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from deltaq_deploy.launch.program import run_program
 from deltaq_experiments.peg_and_valve import (
     OFF_MM,
     OPERATORS,
@@ -17,7 +18,6 @@ from deltaq_experiments.peg_and_valve import (
 )
 from deltaq_experiments.peg_and_valve_person import ACTION_S, NOISE, NOISE_MEMORY_S, REACTION_S, SLIP
 from deltaq_experiments.peg_and_valve_summary import CONCLUSIONS, FEW, FIGURES, MOST, by_mode
-from deltaq_launch.program import run_program
 
 PAGE = Path("docs/explanation/modes-compared.md")
 SEEDS = 10

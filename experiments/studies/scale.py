@@ -20,12 +20,12 @@ import yaml
 from pydantic import BaseModel, ConfigDict
 
 from deltaq_cell.load import load_cell
+from deltaq_deploy.launch.program import run_program
 from deltaq_experiments.bench.decisions import RawDistances, Stopwatch
 from deltaq_experiments.figures import save
-from deltaq_launch.program import run_program
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Outcome
-from deltaq_verification.virtual_cell.cell import VirtualCell
+from deltaq_testing.virtual_cell.cell import VirtualCell
 
 ROBOTS = (1, 2, 4, 8)
 BODIES = (25, 100, 400)

@@ -17,12 +17,12 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AsyncVectorEnv
 
+from deltaq_deploy.launch.program import run_program
 from deltaq_experiments.scene import scene_of
 from deltaq_experiments.training import ENVIRONMENT
 from deltaq_experiments.training.environment import CameraEnvironment
-from deltaq_launch.program import run_program
 from deltaq_protocol.arrays import Array
-from deltaq_verification.virtual_cell.cell import VirtualCell
+from deltaq_testing.virtual_cell.cell import VirtualCell
 
 Setpoints = dict[str, Array]
 """Of each robot (steps + 1, n) [rad or m]."""

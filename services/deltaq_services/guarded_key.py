@@ -1,7 +1,8 @@
 """What seals the guarded realm: without it HLI, SIM and Robot Servers do not start.
 
-Whoever starts a cell's services on one machine makes a key for them, see `deltaq_launch.launch_key`. The user gives one
-only where they are started one by one, and an identity for each where they run on several machines: see
+Whoever starts a cell's services on one machine makes a key for them, see
+`deltaq_deploy.launch.launch_key`. The user gives one only where they are started one by one, and
+an identity for each where they run on several machines: see
 `deltaq_services.service_identity`.
 """
 

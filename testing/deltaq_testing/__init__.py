@@ -1,1 +1,1 @@
-"""Faults for controllers of your own: a cell to test them in, a plug-in of pytest, scenarios and their reports."""
+"""A cell in virtual time, faults for controllers of your own, replay of recordings, scenarios and their reports."""

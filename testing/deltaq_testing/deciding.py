@@ -10,7 +10,7 @@ from deltaq_controllers.interface import RobotView, View
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import RobotState
-from deltaq_verification.faults.controller import Decide
+from deltaq_testing.faults.controller import Decide
 
 
 class CellUseError(DeltaqError):

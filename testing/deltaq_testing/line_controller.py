@@ -11,9 +11,9 @@ from deltaq_protocol.quoting import shown
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.line_requests import REQUESTS
 from deltaq_testing.controller_process import ControllerProcess
-from deltaq_verification.faults.actions import Misbehaviour
-from deltaq_verification.faults.controller import increment_of, misbehaved
-from deltaq_verification.virtual_cell.clients import Say
+from deltaq_testing.faults.actions import Misbehaviour
+from deltaq_testing.faults.controller import increment_of, misbehaved
+from deltaq_testing.virtual_cell.clients import Say
 
 
 class LineController:

@@ -11,25 +11,25 @@ from typing import Any
 
 import numpy as np
 
+from deltaq_deploy.launch.cell_connection import connect
+from deltaq_deploy.launch.launcher import Launcher
 from deltaq_emulator.states import KrcState
-from deltaq_launch.cell_connection import connect
-from deltaq_launch.launcher import Launcher
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Phase, RobotStatus
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.phases import MAY_MOVE
 from deltaq_testing.deciding import CellUseError
+from deltaq_testing.faults.actions import Bombard, Freeze, Kill, PressStop, ReadNothing
+from deltaq_testing.faults.catalogue import Fault
+from deltaq_testing.faults.live_cell import MovingCell, Needs, rows_of
+from deltaq_testing.faults.live_inject import Injector
+from deltaq_testing.faults.panel import PanelClient, PanelError, pendant_message, recovery
 from deltaq_testing.observed import Observed, RobotHistory
+from deltaq_testing.oracle import record_cycle_s
 from deltaq_testing.schedule import ScheduleError, TimedFault, checked
-from deltaq_verification.faults.actions import Bombard, Freeze, Kill, PressStop, ReadNothing
-from deltaq_verification.faults.catalogue import Fault
-from deltaq_verification.faults.live_cell import MovingCell, Needs, rows_of
-from deltaq_verification.faults.live_inject import Injector
-from deltaq_verification.faults.panel import PanelClient, PanelError, pendant_message, recovery
-from deltaq_verification.oracle import record_cycle_s
-from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
-from deltaq_verification.virtual_cell.parts import Process
+from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
+from deltaq_testing.virtual_cell.parts import Process
 
 CLIENT = "deltaq testing"
 _BACK_S = 20.0

@@ -7,13 +7,13 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from deltaq_launch.launcher import Launcher
-from deltaq_launch.private_cell import write_private_cell
-from deltaq_launch.services import Role, Service, cell_services
+from deltaq_deploy.launch.launcher import Launcher
+from deltaq_deploy.launch.private_cell import write_private_cell
+from deltaq_deploy.launch.services import Role, Service, cell_services
 from deltaq_testing.deciding import CellUseError
+from deltaq_testing.faults.panel import PanelClient
+from deltaq_testing.faults.rsi_cell import load_rsi_cell
 from deltaq_testing.live import LiveCell
-from deltaq_verification.faults.panel import PanelClient
-from deltaq_verification.faults.rsi_cell import load_rsi_cell
 
 
 @contextmanager

@@ -12,9 +12,9 @@ from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_testing.faults.report import Kept, is_good, judged
 from deltaq_testing.finding import JointTrackingError, RunFinding
-from deltaq_verification.faults.report import Kept, is_good, judged
-from deltaq_verification.oracle import TELEGRAM_STEP, ClearanceOracle, LeastDistance
+from deltaq_testing.oracle import TELEGRAM_STEP, ClearanceOracle, LeastDistance
 
 DECIMALS_M = 1e-4
 """What the decimals of a telegram may take off a distance [m]."""

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from deltaq_testing.live import LiveCell
     from deltaq_testing.live_cells import LiveCells
     from deltaq_testing.virtual import CellUnderTest
-    from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
+    from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 
 MARKER = "deltaq(cell='lab', robot=None, seed=0): cell, robot under test and seed of the fixture virtual_cell"
 _SECTION = "what befell the cell"
@@ -40,8 +40,8 @@ def new_virtual_cell(pytestconfig: pytest.Config) -> Callable[..., CellUnderTest
 
     For tests that need several, as those of hypothesis do, which run a test many times. A cell's model is read once.
     """
+    from deltaq_testing.faults.rsi_cell import load_rsi_cell
     from deltaq_testing.virtual import CellUnderTest
-    from deltaq_verification.faults.rsi_cell import load_rsi_cell
 
     loaded: dict[str, LoadedCell] = {}
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from deltaq_cell.models import nearest_name
 from deltaq_protocol.errors import DeltaqError
-from deltaq_verification.faults.actions import (
+from deltaq_testing.faults.actions import (
     AskPanel,
     BeginInThePast,
     Bombard,
@@ -21,8 +21,8 @@ from deltaq_verification.faults.actions import (
     Slow,
     StepClock,
 )
-from deltaq_verification.faults.catalogue import CATALOGUE, Fault, UnknownFaultError
-from deltaq_verification.virtual_cell.parts import Link, Process
+from deltaq_testing.faults.catalogue import CATALOGUE, Fault, UnknownFaultError
+from deltaq_testing.virtual_cell.parts import Link, Process
 
 FOR_S = 0.5
 """How long a fault stands if nothing else is said."""

@@ -11,12 +11,12 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
-from deltaq_launch.cell_connection import connect
+from deltaq_deploy.launch.cell_connection import connect
 from deltaq_protocol.errors import DeltaqError
+from deltaq_testing.faults.catalogue import CATALOGUE
 from deltaq_testing.live import CLIENT, LiveCell, may_befall
 from deltaq_testing.live_start import live_cell
 from deltaq_testing.schedule import TimedFault
-from deltaq_verification.faults.catalogue import CATALOGUE
 
 ROUND_S = 6.0
 """A round: a fault begins in its first half, and has ended when it does."""
@@ -103,7 +103,7 @@ def run_soak(
     draw = random.Random(seed)
     with live_cell(folder, cell, robot) as live:
         report = SoakReport(cell=live.model.description.cell, robot=live.robot, seed=seed, asked_s=duration_s)
-        mover = "deltaq_verification.faults.mover"
+        mover = "deltaq_testing.faults.mover"
         live.drive_process([sys.executable, "-m", mover, "{port}", live.robot, f"{live.home[0]}"])
         began_s = time.monotonic()
         try:

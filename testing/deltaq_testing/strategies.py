@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 from hypothesis import strategies as st
 
+from deltaq_testing.faults.catalogue import Fault
 from deltaq_testing.schedule import VIRTUAL, ScheduleError, TimedFault, clash, fault
-from deltaq_verification.faults.catalogue import Fault
 
 GRID_S = 0.012
 """Times are multiples of this: a cycle of the slower KRC."""

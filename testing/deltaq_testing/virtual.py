@@ -15,16 +15,16 @@ from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.phases import MAY_MOVE
 from deltaq_testing.controller_process import ControllerProcess
 from deltaq_testing.deciding import CellUseError, begun, deciding
+from deltaq_testing.faults.controller import VirtualController
+from deltaq_testing.faults.panel import PanelError, pendant_message
+from deltaq_testing.faults.rsi_cell import load_rsi_cell, must_have
+from deltaq_testing.faults.virtual_inject import BACK_S, ErringClient, VirtualInjector
 from deltaq_testing.line_controller import LineController
 from deltaq_testing.observed import Observed
 from deltaq_testing.schedule import TimedFault, checked
-from deltaq_verification.faults.controller import VirtualController
-from deltaq_verification.faults.panel import PanelError, pendant_message
-from deltaq_verification.faults.rsi_cell import load_rsi_cell, must_have
-from deltaq_verification.faults.virtual_inject import BACK_S, ErringClient, VirtualInjector
-from deltaq_verification.virtual_cell.cell import VirtualCell
-from deltaq_verification.virtual_cell.clients import Connection, Say
-from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
+from deltaq_testing.virtual_cell.cell import VirtualCell
+from deltaq_testing.virtual_cell.clients import Connection, Say
+from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 
 CLIENT = "controller under test"
 """Its name, as the lease has it."""

@@ -3,7 +3,7 @@
 import pytest
 from test_page import AT_REST, hold_until_it_moves, take_control
 
-from deltaq_launch.cell_connection import connect
+from deltaq_deploy.launch.cell_connection import connect
 
 pytestmark = [pytest.mark.browser, pytest.mark.live, pytest.mark.timeout(300)]
 

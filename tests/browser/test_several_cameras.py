@@ -15,7 +15,7 @@ from live_stack import live_stack
 from pages import steps
 
 from deltaq_cell.load import load_cell
-from deltaq_launch.services import Service, console_service
+from deltaq_deploy.launch.services import Service, console_service
 from deltaq_protocol.blocking import connect
 from deltaq_protocol.messages import ViewTarget
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from test_page import AT_REST, Q
 
-from deltaq_launch.cell_connection import connect
+from deltaq_deploy.launch.cell_connection import connect
 
 pytestmark = [pytest.mark.browser, pytest.mark.live, pytest.mark.timeout(300)]
 

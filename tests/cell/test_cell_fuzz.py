@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from deltaq_cell.check import CheckReport, check_cell
 from deltaq_cell.yaml_tree import parse
-from deltaq_command.app import app
+from deltaq_deploy.command.app import app
 
 CELL = """\
 cell: small

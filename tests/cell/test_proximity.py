@@ -9,7 +9,7 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_cell.extents import Extents
 from deltaq_cell.proximity import ProximityEngine
-from deltaq_verification.oracle import ClearanceOracle
+from deltaq_testing.oracle import ClearanceOracle
 
 CELL = CellModel.load("lab")
 GATE = CELL.description.gate

@@ -20,7 +20,7 @@ from deltaq_cell.plausible import check_rotations, extent
 from deltaq_cell.robot import RobotModel
 from deltaq_cell.urdf_parsing import parse_model
 from deltaq_protocol.messages import Outcome
-from deltaq_verification.virtual_cell.cell import VirtualCell
+from deltaq_testing.virtual_cell.cell import VirtualCell
 
 BOX = '<box size="0.1 0.2 0.3"/>'
 

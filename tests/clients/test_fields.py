@@ -35,7 +35,7 @@ TAKEN_APART = re.compile(r"\{ ([a-z_, ]+) \} (?:=|of) ")
 def schema() -> dict[str, list[dict[str, Any]]]:
     """Schemas by the `type` of the message, as `deltaq schema` prints them; of a lease, request and reply."""
     told = subprocess.run(
-        [sys.executable, "-c", "from deltaq_command import main; main()", "schema"],
+        [sys.executable, "-c", "from deltaq_deploy.command import main; main()", "schema"],
         capture_output=True,
         text=True,
         check=True,

@@ -16,8 +16,8 @@ import octave
 import pytest
 from urdf_kinematics import UrdfKinematics
 
-from deltaq_launch.launcher import Launcher
-from deltaq_launch.services import Role, Service
+from deltaq_deploy.launch.launcher import Launcher
+from deltaq_deploy.launch.services import Role, Service
 
 pytestmark = [
     pytest.mark.live,

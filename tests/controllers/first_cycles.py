@@ -25,7 +25,6 @@ from led_cycles import by_lines, by_master
 from numba.core import event
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_command.drive_display import Display
 from deltaq_controllers.advisor.session import AdvisorSession
 from deltaq_controllers.camera.controllers import NAMES, camera_controller_named
 from deltaq_controllers.camera.scene import Scene
@@ -44,6 +43,7 @@ from deltaq_controllers.operator_input.interface import OperatorInput
 from deltaq_controllers.signals import SignalLog
 from deltaq_controllers.statistics import ControlStatistics
 from deltaq_controllers.teleoperation import DriveLog, teleoperate
+from deltaq_deploy.command.drive_display import Display
 from deltaq_protocol.client import Cell
 from deltaq_protocol.errors import RefusedError
 from deltaq_protocol.messages import (

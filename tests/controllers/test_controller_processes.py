@@ -18,8 +18,8 @@ from deltaq_controllers.answers import own_view, view_of
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import RobotView
 from deltaq_controllers.robot_clocks import RobotClocks
+from deltaq_deploy.launch.private_cell import free_ports
 from deltaq_experiments.scene import VIEW_DISTANCE_M
-from deltaq_launch.private_cell import free_ports
 from deltaq_protocol.blocking import connect
 from deltaq_protocol.client import Cell
 from deltaq_protocol.codec import InvalidMessageError

@@ -11,9 +11,9 @@ from small_cell import free_port
 from deltaq_controllers.answers import lease
 from deltaq_protocol import connect
 from deltaq_protocol.endpoint import Endpoint
-from deltaq_verification.impairment.process import RelayProcess
-from deltaq_verification.impairment.relay import TrafficUnit
-from deltaq_verification.impairment.stream import StreamFaults
+from deltaq_testing.impairment.process import RelayProcess
+from deltaq_testing.impairment.relay import TrafficUnit
+from deltaq_testing.impairment.stream import StreamFaults
 
 pytestmark = pytest.mark.service
 

@@ -19,7 +19,7 @@ from deltaq_controllers.operator_input.led_pose import JUMP_M, SLACK_M, LedPose,
 from deltaq_controllers.operator_input.master import MOST_M_S, REST_S, STALE_S, Master
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Outcome
-from deltaq_verification.virtual_cell.cell import VirtualCell
+from deltaq_testing.virtual_cell.cell import VirtualCell
 
 GUIDE = Path(__file__).parents[2] / "docs" / "how-to" / "drive-by-hand.md"
 

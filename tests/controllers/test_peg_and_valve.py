@@ -9,9 +9,9 @@ import pinocchio as pin
 import pytest
 from typer.testing import CliRunner
 
-from deltaq_command.app import app
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.motion import HAND_AXES, ModeName, OperatorCommand
+from deltaq_deploy.command.app import app
 from deltaq_experiments.peg_and_valve import (
     OPERATORS,
     PEG_M,

@@ -7,7 +7,6 @@ import pinocchio as pin
 import published_arms
 import pytest
 
-from deltaq_command.advice import AdviceRequest, advice
 from deltaq_controllers.advisor.advisor import Progress, advise
 from deltaq_controllers.advisor.answered import Answered
 from deltaq_controllers.advisor.exact import ExactClearance
@@ -18,6 +17,7 @@ from deltaq_controllers.modes.advisor import AdvisorMode, tracker_of
 from deltaq_controllers.modes.motion import ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import MODES, Teleoperator
 from deltaq_controllers.operated.reach import ReachPlanner
+from deltaq_deploy.command.advice import AdviceRequest, advice
 
 CELL = published_arms.cell()
 UR, PANDA = CELL.robots["ur"], CELL.robots["panda"]

@@ -17,9 +17,9 @@ from deltaq_controllers.ros2.mover import TrajectoryMover
 from deltaq_controllers.ros2.path import Path
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Phase, RobotState, Verdict
+from deltaq_testing.faults.rsi_cell import load_rsi_cell
 from deltaq_testing.schedule import fault
 from deltaq_testing.virtual import CellUnderTest
-from deltaq_verification.faults.rsi_cell import load_rsi_cell
 
 MOVED = np.array([0.3, -0.1, 0.15, 0.2, -0.2, 0.3])
 

@@ -7,7 +7,7 @@ from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.leader.attacking import AttackingLeader
 from deltaq_controllers.leader.scripted import Joystick, ScriptedLeader, Workspace
-from deltaq_verification.oracle import ClearanceOracle
+from deltaq_testing.oracle import ClearanceOracle
 
 GR = lab().robots["gr"]
 

@@ -19,7 +19,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from deltaq_deploy.foxglove import CELL, FILE, layout_text
 from deltaq_protocol import topics
 from deltaq_protocol.messages import NearestPair, Proximity
-from deltaq_verification.recorded import RecordedCell, virtual_cell
+from deltaq_testing.recorded import RecordedCell, virtual_cell
 
 NUMBERS = {FieldDescriptor.CPPTYPE_DOUBLE, FieldDescriptor.CPPTYPE_INT64, FieldDescriptor.CPPTYPE_BOOL}
 STATES = {FieldDescriptor.CPPTYPE_ENUM, FieldDescriptor.CPPTYPE_STRING}

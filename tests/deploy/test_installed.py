@@ -73,7 +73,7 @@ def test_without_gymnasium_the_environment_says_what_to_install(bare: Installed)
 
 
 def test_a_part_of_deltaq_that_is_missing_is_no_matter_of_extras() -> None:
-    code = "import sys; sys.modules['deltaq_command.app'] = None; import deltaq_command as c; c.main()"
+    code = "import sys; sys.modules['deltaq_deploy.command.app'] = None; import deltaq_deploy.command as c; c.main()"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert "ModuleNotFoundError" in done.stderr

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 import deltaq_deploy
 from deltaq_cell.description import RobotDescription
 from deltaq_cell.load import load_cell
-from deltaq_command.app import app
+from deltaq_deploy.command.app import app
 from deltaq_deploy.krc import KrcFilesError, KrcPlan, Start, files_of, plan_for, write_files
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.rsi import AxisMap

@@ -46,13 +46,13 @@ print(env.step(np.zeros(6))[4]["verdict"]["outcome"])
 """
 
 COMMAND = """
-from deltaq_command import main
+from deltaq_deploy.command import main
 sys.argv[1:] = ["check", "lab"]
 main()
 """
 
 EXPERIMENT = """
-from deltaq_command import main
+from deltaq_deploy.command import main
 sys.argv[1:] = ["experiment", "tracking", "--duration-s", "1", "--settle-s", "0", "--json"]
 main()
 """

@@ -12,8 +12,8 @@ import typer
 from packaging.specifiers import SpecifierSet
 from typer.testing import CliRunner
 
-from deltaq_command.app import app
-from deltaq_command.reference import FOLDER, PAGES, page
+from deltaq_deploy.command.app import app
+from deltaq_deploy.command.reference import FOLDER, PAGES, page
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]

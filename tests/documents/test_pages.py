@@ -57,10 +57,10 @@ NOT_RUN = {
     "console.md": ["needs Chromium"],
     "observe.md": ["needs Prometheus", "needs Prometheus", "a line of a log; tests/protocol/test_log.py"],
     "containers.md": [
-        "needs a container engine; tests/launch/test_containers.py",
-        "needs a container engine; tests/launch/test_containers.py",
-        "needs a container engine; tests/launch/test_compose.py",
-        "needs a container engine; tests/launch/test_containers.py",
+        "needs a container engine; tests/deploy/launch/test_containers.py",
+        "needs a container engine; tests/deploy/launch/test_containers.py",
+        "needs a container engine; tests/deploy/launch/test_compose.py",
+        "needs a container engine; tests/deploy/launch/test_containers.py",
     ],
     "several-machines.md": [
         "needs two machines; tests/live/test_sealed_realm.py runs a cell off the loopback",
@@ -80,12 +80,12 @@ NOT_RUN = {
         "needs root and takes a minute; tests/live/test_far_bounds.py runs it for each row",
     ],
     "drive-by-hand.md": [
-        "waits for keys; tests/command/test_drive.py drives a terminal",
+        "waits for keys; tests/deploy/command/test_drive.py drives a terminal",
         "a file of the system",
         "waits for keys; tests/controllers/test_master.py leads a robot through the gate",
         "waits for keys; tests/controllers/test_master.py leads this arm by its twin",
         "steps of a script; tests/controllers/test_held_object.py runs the like",
-        "steps of a script; tests/command/test_drive.py runs the like",
+        "steps of a script; tests/deploy/command/test_drive.py runs the like",
     ],
     "faults.md": [
         "takes some minutes; tests/verification runs every fault",
@@ -95,7 +95,7 @@ NOT_RUN = {
     "install.md": ["installs from a package index"],
     "train-a-policy.md": ["installs from a package index"],
     "run-a-cell.md": [
-        "tests/launch/test_service_dies.py kills a service and starts it again this way",
+        "tests/deploy/launch/test_service_dies.py kills a service and starts it again this way",
         "needs real robots",
         "each line keeps its terminal; tests/services/test_robot_server_start.py starts a service this way",
         "keeps its terminal; tests/services/test_roles.py reads tokens this way",

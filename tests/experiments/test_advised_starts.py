@@ -9,7 +9,7 @@ from pathlib import Path
 import published_arms
 import pytest
 
-from deltaq_launch.program import run_program
+from deltaq_deploy.launch.program import run_program
 from studies import advised_drive
 from studies.advised_starts import AdvisedStarts, main, run
 

@@ -20,7 +20,7 @@ from deltaq_protocol.codec import InvalidMessageError, pack, unpack
 from deltaq_protocol.messages import Outcome, Verdict
 from deltaq_services.robot_server.krc_file import sensor_codec
 from deltaq_services.sim.core import Sim
-from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
+from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 
 
 @pytest.fixture(scope="module")

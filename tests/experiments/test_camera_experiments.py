@@ -26,7 +26,7 @@ from deltaq_experiments.seen import SeenRun
 from deltaq_experiments.trace import Trace, reached_speed, time_to_stay_below
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
-from deltaq_verification.oracle import ClearanceOracle
+from deltaq_testing.oracle import ClearanceOracle
 from studies.claims.__main__ import main as write_page
 from studies.claims.attacks import ATTACKS, CELLS
 from studies.claims.claim import Claim, ClaimOutcome

@@ -14,7 +14,7 @@ from deltaq_proofs.two_sites import __main__ as two_sites
 from deltaq_proofs.two_sites.far_controller import FarWire
 from deltaq_proofs.two_sites.far_virtual import follow_in_virtual_time
 from deltaq_protocol.messages import Increment, StopRequest
-from deltaq_verification.virtual_cell.cell import VirtualCell
+from deltaq_testing.virtual_cell.cell import VirtualCell
 
 FAST = ["--virtual", "--duration-s", "4", "--settle-s", "2"]
 CUT_CYCLES = 167

@@ -18,7 +18,6 @@ from deltaq_experiments.run_report.drawing import COLUMNS, timeline
 from deltaq_experiments.run_report.figures import figures
 from deltaq_experiments.run_report.page import page
 from deltaq_experiments.run_report.run import EmptyRecordingError, RunEvent, RunEventKind, read_run
-from deltaq_experiments.run_report.svg import outline
 from deltaq_experiments.run_report.write import ReportError, write
 from deltaq_protocol import topics
 from deltaq_protocol.guarded import Command, CommandReply, Plan, ServerState
@@ -34,6 +33,7 @@ from deltaq_protocol.messages import (
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.recorder.reader import UnreadableRecordingError
 from deltaq_services.recorder.writer import RecordingWriter
+from deltaq_testing.report_page import outline
 
 CYCLE_NS = 12_000_000
 CYCLES = 200

@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from deltaq_cell.check import check_cell
-from deltaq_launch.program import run_program
+from deltaq_deploy.launch.program import run_program
 from studies.scale import NEAREST_M, ScaleRow, main, measure, plant
 
 

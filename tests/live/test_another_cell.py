@@ -11,7 +11,7 @@ from live_stack import TIMEOUT_S, live_stack
 
 from deltaq_cell.identity import content_identity
 from deltaq_cell.load import load_cell
-from deltaq_launch.cell_connection import OtherCellError, Where, connect
+from deltaq_deploy.launch.cell_connection import OtherCellError, Where, connect
 from deltaq_protocol.errors import RefusedError
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from shared_cell import SharedStack
 
-from deltaq_launch.cell_connection import connect
+from deltaq_deploy.launch.cell_connection import connect
 from deltaq_protocol.errors import RefusedError
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 from websockets.sync.client import connect as open_websocket
 
-from deltaq_launch.cell_connection import connect
+from deltaq_deploy.launch.cell_connection import connect
 from deltaq_protocol.messages import Phase
 
 pytestmark = pytest.mark.live

@@ -18,10 +18,10 @@ from contained import Container, is_allowed, may_be_real_time
 from networks import why_none
 
 from deltaq_cell.load import load_cell
-from deltaq_launch.compose import ADDRESS, KEY_MAKER, compose_document
-from deltaq_launch.container import USER
-from deltaq_launch.resources import RESOURCES
-from deltaq_launch.services import cell_services, console_service
+from deltaq_deploy.launch.compose import ADDRESS, KEY_MAKER, compose_document
+from deltaq_deploy.launch.container import USER
+from deltaq_deploy.launch.resources import RESOURCES
+from deltaq_deploy.launch.services import cell_services, console_service
 from deltaq_proofs.two_sites.packets import within
 from deltaq_proofs.two_sites.sites import ip
 

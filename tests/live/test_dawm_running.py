@@ -12,7 +12,7 @@ from commands import PROGRAM
 from json_client import json_client
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_launch.private_cell import free_ports
+from deltaq_deploy.launch.private_cell import free_ports
 
 pytestmark = pytest.mark.live
 

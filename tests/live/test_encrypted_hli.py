@@ -8,7 +8,7 @@ import pytest
 from identities import make
 from live_stack import live_stack
 
-from deltaq_launch.cell_connection import connect
+from deltaq_deploy.launch.cell_connection import connect
 from deltaq_protocol import blocking
 from deltaq_protocol.certified.encryption import client_tls
 from deltaq_protocol.certified.names import CLIENT_IDENTITY, IDENTITY, IdentityError

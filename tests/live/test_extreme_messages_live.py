@@ -10,7 +10,7 @@ import pytest
 from extremes import Extremes
 from test_socket_script import connected
 
-from deltaq_launch.cell_connection import connect
+from deltaq_deploy.launch.cell_connection import connect
 from deltaq_protocol import topics
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.session import open_session

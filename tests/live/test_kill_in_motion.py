@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from deltaq_services.phases import MAY_MOVE
-from deltaq_verification.oracle import TELEGRAM_STEP
+from deltaq_testing.oracle import TELEGRAM_STEP
 
 pytestmark = pytest.mark.live
 

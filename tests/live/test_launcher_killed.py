@@ -14,7 +14,7 @@ import pytest
 from live_stack import MOVING_RAD_S
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_verification.oracle import record_cycle_s
+from deltaq_testing.oracle import record_cycle_s
 
 pytestmark = pytest.mark.live
 

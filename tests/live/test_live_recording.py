@@ -15,13 +15,13 @@ from commands import PROGRAM
 from live_stack import Stack
 from shared_cell import SharedStack
 
-from deltaq_launch.cell_connection import connect
-from deltaq_launch.services import recorder
+from deltaq_deploy.launch.cell_connection import connect
+from deltaq_deploy.launch.services import recorder
 from deltaq_protocol import topics
 from deltaq_protocol.audit import AuditEntry, AuditKind, AuditOutcome
 from deltaq_services.recorder.reader import Recording
 from deltaq_services.recorder.shell import Recorder
-from deltaq_verification.replay import replay
+from deltaq_testing.replay import replay
 
 pytestmark = pytest.mark.live
 

@@ -21,7 +21,7 @@ from own_robot import write_cell, write_package
 
 from deltaq_cell.load import load_cell
 from deltaq_cell.packages import find_file
-from deltaq_launch.private_cell import free_ports
+from deltaq_deploy.launch.private_cell import free_ports
 from deltaq_protocol import connect
 from deltaq_protocol.client import Cell
 

@@ -15,12 +15,12 @@ from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.messages import Increment, LeaseAction, LeaseReply, LeaseRequest, RobotState, Verdict
 from deltaq_protocol.proof import Prover
 from deltaq_protocol.session import open_session, subscribe_newest
-from deltaq_verification.faults.relay_placement import RelayPlacement, placed
-from deltaq_verification.faults.rsi_cell import load_rsi_cell
-from deltaq_verification.impairment.process import RelayProcess
-from deltaq_verification.impairment.relay import TrafficUnit
-from deltaq_verification.impairment.stream import StreamFaults
-from deltaq_verification.virtual_cell.parts import Link
+from deltaq_testing.faults.relay_placement import RelayPlacement, placed
+from deltaq_testing.faults.rsi_cell import load_rsi_cell
+from deltaq_testing.impairment.process import RelayProcess
+from deltaq_testing.impairment.relay import TrafficUnit
+from deltaq_testing.impairment.stream import StreamFaults
+from deltaq_testing.virtual_cell.parts import Link
 
 pytestmark = pytest.mark.live
 

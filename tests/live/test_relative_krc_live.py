@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from live_stack import live_stack
 
+from deltaq_deploy.launch.cell_connection import connect
+from deltaq_deploy.launch.services import Role
 from deltaq_emulator.settings import SHIPPED
-from deltaq_launch.cell_connection import connect
-from deltaq_launch.services import Role
 from deltaq_protocol import blocking, topics
 from deltaq_protocol.codec import unpack
 from deltaq_protocol.errors import RefusedError

@@ -11,7 +11,7 @@ import pytest
 from krc_side import FR, KRC, telegram
 
 from deltaq_cell.load import load_cell
-from deltaq_launch.private_cell import write_private_cell
+from deltaq_deploy.launch.private_cell import write_private_cell
 from deltaq_protocol import topics
 from deltaq_protocol.codec import unpack
 from deltaq_protocol.guarded import ServerState

@@ -5,9 +5,9 @@ from identities import make
 from live_stack import live_stack
 
 from deltaq_cell.load import load_cell
-from deltaq_launch.cell_connection import connect
-from deltaq_launch.probes import probe
-from deltaq_launch.services import cell_services
+from deltaq_deploy.launch.cell_connection import connect
+from deltaq_deploy.launch.probes import probe
+from deltaq_deploy.launch.services import cell_services
 from deltaq_protocol import topics
 from deltaq_protocol.certified.names import IDENTITY
 from deltaq_protocol.codec import pack

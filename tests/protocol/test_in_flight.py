@@ -1,4 +1,4 @@
-"""What is reckoned with that no state shows yet; `tests/verification/test_answering.py` holds it against real cores."""
+"""What is reckoned with that no state shows yet; `tests/testing/test_answering.py` holds it against real cores."""
 
 from __future__ import annotations
 

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from live_stack import TIMEOUT_S, live_stack
 
+from deltaq_deploy.launch.cell_connection import connect
 from deltaq_emulator.states import KrcState
-from deltaq_launch.cell_connection import connect
 from deltaq_protocol.messages import Phase
 from deltaq_services.guarded_key import guarded_seal, key_file_of_launch, realm_of
-from deltaq_verification.faults.panel import recovery
+from deltaq_testing.faults.panel import recovery
 
 pytestmark = [pytest.mark.live, pytest.mark.timeout(300)]
 

@@ -11,7 +11,7 @@ from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_services.sim.certificate import Certifier
 from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.tube import Branch, Span, tube
-from deltaq_verification.oracle import ClearanceOracle
+from deltaq_testing.oracle import ClearanceOracle
 
 LAG = 6
 

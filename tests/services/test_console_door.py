@@ -9,7 +9,7 @@ import pytest
 import websockets
 from served_console import live, served, told
 
-from deltaq_launch.private_cell import free_ports
+from deltaq_deploy.launch.private_cell import free_ports
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 from deltaq_services.console.door import Door, Entrance

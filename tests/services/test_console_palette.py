@@ -7,7 +7,7 @@ from colour_vision import contrast, lab, nearest
 from installed import ROOT
 
 PAGE = ROOT / "services" / "deltaq_services" / "console" / "page" / "browser"
-REPORT = ROOT / "experiments" / "deltaq_experiments" / "run_report" / "page.css"
+REPORT = ROOT / "testing" / "deltaq_testing" / "report_page.css"
 STATES = ("accent", "good", "warn", "bad", "record")
 """Engaged, ready, braking or offline, held, and a recording."""
 TOLD_APART = {"usual": 20.0, "protanopia": 20.0, "deuteranopia": 20.0, "tritanopia": 10.0}

@@ -9,7 +9,7 @@ import pytest
 from console_bench import BODIES, CELL, ConsoleBench
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_launch.private_cell import free_ports, write_private_cell
+from deltaq_deploy.launch.private_cell import free_ports, write_private_cell
 from deltaq_protocol import driving
 from deltaq_services.console.core import ConsoleCore
 from deltaq_services.console.messages import AckOutcome

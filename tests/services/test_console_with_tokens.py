@@ -10,7 +10,7 @@ from served_console import Browser, live, served
 from small_cell import tool_pose
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_launch.private_cell import write_private_cell
+from deltaq_deploy.launch.private_cell import write_private_cell
 from deltaq_protocol.audit import AuditKind
 from deltaq_protocol.codec import pack
 from deltaq_protocol.messages import Challenge

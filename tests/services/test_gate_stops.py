@@ -16,8 +16,8 @@ from deltaq_cell.drive_lag import modelled_lag
 from deltaq_cell.find import find_cell
 from deltaq_emulator import drives
 from deltaq_protocol.messages import Outcome
-from deltaq_verification.oracle import ClearanceOracle, limit_violations
-from deltaq_verification.virtual_cell.cell import VirtualCell
+from deltaq_testing.oracle import ClearanceOracle, limit_violations
+from deltaq_testing.virtual_cell.cell import VirtualCell
 
 pytestmark = pytest.mark.long
 CYCLE_S = 0.012

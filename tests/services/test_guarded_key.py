@@ -9,7 +9,7 @@ import pytest
 from small_cell import small_cell
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_launch.launch_key import LaunchKey
+from deltaq_deploy.launch.launch_key import LaunchKey
 from deltaq_protocol.seal import ForgedMessageError
 from deltaq_services.guarded_key import (
     KEY_FILE,

@@ -24,10 +24,10 @@ from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.guards import Refusal
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.sim.courses import courses, motions, still_due
-from deltaq_verification.virtual_cell.cell import VirtualCell
-from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
-from deltaq_verification.virtual_cell.parts import Link, Process
-from deltaq_verification.virtual_cell.wires import MessageWire
+from deltaq_testing.virtual_cell.cell import VirtualCell
+from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
+from deltaq_testing.virtual_cell.parts import Link, Process
+from deltaq_testing.virtual_cell.wires import MessageWire
 
 ZEROS = (0.0,) * 6
 STEP = 4e-4

@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator, Iterator
 
 import pytest
 
-from deltaq_launch.private_cell import free_ports
+from deltaq_deploy.launch.private_cell import free_ports
 from deltaq_services.hli import newcomers
 from deltaq_services.hli.newcomers import Newcomers
 from deltaq_services.hli.places import MAX_WAITING

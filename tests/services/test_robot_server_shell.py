@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 from krc_side import CELL, FR, XML, telegram
 
-from deltaq_launch.private_cell import free_ports
+from deltaq_deploy.launch.private_cell import free_ports
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_services.robot_server.krc_file import sensor_codec
 from deltaq_services.robot_server.krc_socket import MOST_READ, MOST_WAITING, KrcSocket

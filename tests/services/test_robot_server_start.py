@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 import deltaq_deploy
-from deltaq_launch.private_cell import write_private_cell
+from deltaq_deploy.launch.private_cell import write_private_cell
 
 KRC = Path(deltaq_deploy.__file__).parent / "krc"
 PATIENCE_S = 300.0

@@ -13,7 +13,7 @@ from injected import error_in_call
 from krc_side import CELL, FR, KRC, XML, telegram
 
 from deltaq_cell.identity import content_identity
-from deltaq_launch.private_cell import free_ports
+from deltaq_deploy.launch.private_cell import free_ports
 from deltaq_protocol import topics
 from deltaq_protocol.guarded import Supervision
 from deltaq_protocol.messages import Phase

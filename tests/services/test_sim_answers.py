@@ -15,7 +15,7 @@ from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.receipts import first_receipt, receipt_of
 from deltaq_services.outputs import ToTopic
 from deltaq_services.sim.core import Sim
-from deltaq_verification.oracle import ClearanceOracle
+from deltaq_testing.oracle import ClearanceOracle
 
 CYCLE_S = CELL.description.cycle_s
 GATE = CELL.description.gate

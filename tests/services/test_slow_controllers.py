@@ -17,7 +17,7 @@ import pytest
 from served import Server
 
 from deltaq_services.hli.tcp_connection import TcpConnection
-from deltaq_verification.faults import mover
+from deltaq_testing.faults import mover
 
 ROOT = Path(__file__).parents[2]
 TUTORIAL = ROOT / "docs" / "tutorial" / "first-motion.md"

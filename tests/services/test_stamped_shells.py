@@ -13,8 +13,8 @@ from deltaq_protocol.stamps import CycleOutcome, Stamps, StampStation, read_stam
 from deltaq_services.outputs import ToTopic
 from deltaq_services.robot_server.guarded_link import outcome_of
 from deltaq_services.sim.gate_stamps import GateStamps
-from deltaq_verification.virtual_cell.cell import VirtualCell
-from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
+from deltaq_testing.virtual_cell.cell import VirtualCell
+from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 
 CYCLES = 12
 

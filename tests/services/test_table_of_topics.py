@@ -15,8 +15,8 @@ from gate_rig import Rig
 from small_cell import endpoint, server_state, small_cell, told, tool_pose
 from table import change_row
 
-from deltaq_command.reference import page
-from deltaq_command.streams import UnknownTopicError, open_stream
+from deltaq_deploy.command.reference import page
+from deltaq_deploy.command.streams import UnknownTopicError, open_stream
 from deltaq_protocol import topics
 from deltaq_protocol.access import access
 from deltaq_protocol.guarded import Health

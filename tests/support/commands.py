@@ -16,7 +16,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 PROGRAM = str(Path(sys.executable).with_name("deltaq"))
-_IMPORTED = ["__main__", "deltaq_command.app", "deltaq_command.progress", "deltaq_cell.cell_model"]
+_IMPORTED = [
+    "__main__",
+    "deltaq_deploy.command.app",
+    "deltaq_deploy.command.progress",
+    "deltaq_cell.cell_model",
+]
 
 
 def deltaq(
@@ -62,6 +67,6 @@ def _run(arguments: tuple[str, ...], environment: dict[str, str], folder: Path, 
     for name, number, mode in (("stdin", 0, "r"), ("stdout", 1, "w"), ("stderr", 2, "w")):
         setattr(sys, name, open(number, mode, closefd=False))  # noqa: SIM115 # for the life of the process
     sys.argv = [PROGRAM, *arguments]
-    from deltaq_command import main
+    from deltaq_deploy.command import main
 
     main()

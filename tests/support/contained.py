@@ -202,7 +202,7 @@ class Container:
 
     def _program(self) -> list[str]:
         words = list(self._document["command"])
-        deltaq = [sys.executable, "-c", "from deltaq_command import main; main()"]
+        deltaq = [sys.executable, "-c", "from deltaq_deploy.command import main; main()"]
         programs = {"python": [sys.executable], "deltaq": deltaq}
         programs |= {name: ["sh", str(file)] for name, file in SCRIPTS.items()}
         found: list[str] = []

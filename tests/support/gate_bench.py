@@ -12,7 +12,7 @@ from deltaq_protocol.guarded import Plan
 from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.tracker import Tracker
 from deltaq_services.sim.tube import drives_of
-from deltaq_verification.oracle import ClearanceOracle
+from deltaq_testing.oracle import ClearanceOracle
 
 STOP_M = CELL.description.gate.stop_distance_m
 PROXIMITY = CompiledProximity(CELL)

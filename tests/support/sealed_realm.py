@@ -13,7 +13,7 @@ import numpy as np
 import zenoh
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_launch.private_cell import write_private_cell
+from deltaq_deploy.launch.private_cell import write_private_cell
 from deltaq_protocol import topics
 from deltaq_protocol.codec import pack
 from deltaq_protocol.guarded import Admission, Command, Request, ServerState, Supervision

@@ -17,11 +17,11 @@ import pytest
 from last_use import LastUse
 from live_stack import TIMEOUT_S, Stack, live_stack, mover
 
-from deltaq_launch.cell_connection import connect
-from deltaq_launch.services import console_service
+from deltaq_deploy.launch.cell_connection import connect
+from deltaq_deploy.launch.services import console_service
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Phase
-from deltaq_verification.faults.panel import PanelClient, recovery
+from deltaq_testing.faults.panel import PanelClient, recovery
 
 APPROACH, OF_FASTEST = 0.2, 0.2
 """Share of what is missing to home that is asked for in a cycle, and of the largest increment."""

@@ -9,7 +9,7 @@ from xml.etree import ElementTree as ET
 import pytest
 from typer.testing import CliRunner
 
-from deltaq_command.app import app
+from deltaq_deploy.command.app import app
 from deltaq_protocol.errors import DeltaqError
 from deltaq_testing.scenario.file import ScenarioError, dumped, load_scenario, parse_scenario
 from deltaq_testing.scenario.junit import junit_xml

@@ -2,8 +2,8 @@
 
 import pytest
 
+from deltaq_testing.faults.catalogue import UnknownFaultError
 from deltaq_testing.schedule import VIRTUAL, ScheduleError, checked, clash, fault
-from deltaq_verification.faults.catalogue import UnknownFaultError
 
 
 def test_a_fault_that_is_not_there_is_answered_with_those_that_are():

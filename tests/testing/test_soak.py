@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from deltaq_command.app import app
+from deltaq_deploy.command.app import app
 from deltaq_protocol.errors import DeltaqError
+from deltaq_testing.faults.catalogue import CATALOGUE
 from deltaq_testing.live import may_befall
 from deltaq_testing.soak import SoakReport, SoakRound
-from deltaq_verification.faults.catalogue import CATALOGUE
 
-COMMAND = "from deltaq_command import main; main()"
+COMMAND = "from deltaq_deploy.command import main; main()"
 
 
 @pytest.mark.nightly

@@ -3,9 +3,9 @@
 import pytest
 from hypothesis import find, given, settings
 
+from deltaq_testing.faults.catalogue import UnknownFaultError
 from deltaq_testing.schedule import ScheduleError, checked, fault
 from deltaq_testing.strategies import GRID_S, schedules
-from deltaq_verification.faults.catalogue import UnknownFaultError
 
 NAMES = ["krc_duplicating", "hli_dead", "link_cut", "link_lossy"]
 WITHOUT_DATABASE = settings(database=None, max_examples=1000, derandomize=True)

@@ -22,8 +22,8 @@ from deltaq_protocol.seal import Seal
 from deltaq_protocol.seal_keys import KEY_BYTES, PairKeys, RealmKey, SealKeys
 from deltaq_services.outputs import ToTopic
 from deltaq_services.robot_server.krc_file import sensor_codec
-from deltaq_verification.virtual_cell.cell import VirtualCell
-from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
+from deltaq_testing.virtual_cell.cell import VirtualCell
+from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 
 _KINDS = (ServerState, RobotState, Increment, Request, Supervision, Admission, Verdict)
 _SPEED = 0.1

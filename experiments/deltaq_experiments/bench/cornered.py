@@ -19,14 +19,14 @@ from pathlib import Path
 import msgpack
 import numpy as np
 
-from deltaq_launch.program import run_program
+from deltaq_deploy.launch.program import run_program
 from deltaq_protocol.codec import pack, unpack
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.guarded import GateMemory, Request
 from deltaq_protocol.messages import Message, Outcome, Phase, Verdict
 from deltaq_services.outputs import ToTopic
-from deltaq_verification.adversary import Adversary
-from deltaq_verification.virtual_cell.cell import VirtualCell
+from deltaq_testing.adversary import Adversary
+from deltaq_testing.virtual_cell.cell import VirtualCell
 
 CELL = "lab"
 """The cell that the situations are of."""

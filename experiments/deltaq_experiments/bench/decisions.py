@@ -23,7 +23,7 @@ from deltaq_protocol.arrays import Array
 from deltaq_services.sim.core import Decider, Sim
 from deltaq_services.sim.gate import Decision
 from deltaq_services.sim.tracker import Tracker
-from deltaq_verification.virtual_cell.cell import VirtualCell
+from deltaq_testing.virtual_cell.cell import VirtualCell
 
 PASSES = 5
 """How often each stored situation is decided; the median of its times counts, so that it is the gate's, and not what

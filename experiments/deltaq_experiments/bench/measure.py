@@ -9,7 +9,7 @@ from deltaq_experiments.bench.codecs import messages, seals, telegrams
 from deltaq_experiments.bench.decisions import near_obstacles, tracking
 from deltaq_experiments.bench.rsi_reply import CELL, ROBOT, rsi_reply
 from deltaq_experiments.bench.table import BenchTable
-from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
+from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 
 CODEC_PASSES = 2000
 

@@ -18,12 +18,12 @@ import numpy as np
 
 from deltaq_cell.description import CellDescription
 from deltaq_cell.identity import content_identity
+from deltaq_deploy.launch.launcher import Launcher
+from deltaq_deploy.launch.services import cell_services, one
 from deltaq_experiments.bench.asker import frame
 from deltaq_experiments.bench.native import program
 from deltaq_experiments.bench.table import BenchRow
 from deltaq_experiments.bench.telegrams import standing_telegrams
-from deltaq_launch.launcher import Launcher
-from deltaq_launch.services import cell_services, one
 from deltaq_protocol import topics
 from deltaq_protocol.codec import pack, unpack
 from deltaq_protocol.errors import DeltaqError
@@ -32,7 +32,7 @@ from deltaq_protocol.real_time import SchedulingPriority, ask_for_real_time
 from deltaq_protocol.sayings import SIM
 from deltaq_protocol.session import declare_publisher, open_session
 from deltaq_services.guarded_key import guarded_seal
-from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
+from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 
 CELL, ROBOT = "lab-4ms", "gr"
 """Six axes on a gantry of three, at the shorter cycle."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from deltaq_cell.description import RsiDescription
 from deltaq_protocol.rsi import AxisMap, KrcCodec, KrcReport, load_ethernet_xml
-from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
+from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 
 _FIRST_IPOC = 4_200_000
 _POSE = (0.0,) * 6

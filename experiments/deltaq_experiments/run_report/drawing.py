@@ -11,9 +11,9 @@ import numpy as np
 
 from deltaq_experiments.run_report.robot_run import RobotRun
 from deltaq_experiments.run_report.run import RecordedRun, RunEventKind
-from deltaq_experiments.run_report.svg import COLOURS, inlined, outline, settings
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Phase
+from deltaq_testing.report_page import COLOURS, inlined, outline, settings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable
 from html import escape
-from pathlib import Path
 
 from deltaq_experiments.run_report import drawing
 from deltaq_experiments.run_report.figures import begun_at
@@ -13,8 +11,8 @@ from deltaq_experiments.run_report.robot_run import ReasonGroup, RobotRun
 from deltaq_experiments.run_report.run import RecordedRun, RunEventKind
 from deltaq_protocol.messages import Outcome, Phase
 from deltaq_protocol.reasons import EXPLANATIONS
+from deltaq_testing.report_page import Cells, document, table
 
-_STYLE = Path(__file__).with_name("page.css")
 _EVENTS_TOLD = 200
 _LIMITS_TOLD = 3
 _NEAR_LIMIT = 0.05
@@ -26,8 +24,6 @@ _SIGNS = {
     RunEventKind.FAULT: "▼",
     RunEventKind.GAP: "◆",
 }
-
-Cells = Iterable[str]
 
 
 def page(run: RecordedRun) -> str:
@@ -52,16 +48,6 @@ def page(run: RecordedRun) -> str:
         _recording(run),
     ]
     return document(title, parts)
-
-
-def document(title: str, parts: Iterable[str]) -> str:
-    """A self-contained page in the style of the reports; `parts` are escaped already."""
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)}</title>\n<style>\n{_STYLE.read_text(encoding='utf-8')}</style>\n</head>\n"
-        f"<body>\n<main>\n{chr(10).join(parts)}\n</main>\n</body>\n</html>\n"
-    )
 
 
 def _subject(run: RecordedRun) -> str:
@@ -233,21 +219,6 @@ def _recording(run: RecordedRun) -> str:
     shown = "".join(f"<dt>{name}</dt><dd><code>{escape(value)}</code></dd>" for name, value in facts)
     told = "Two runs with the same fingerprint of the gate passed the same code with the same configuration."
     return f'<dl class="facts">{shown}</dl><p class="soft">{told}</p>'
-
-
-def table(columns: Cells, rows: Iterable[Cells], numbers: Collection[int] = ()) -> str:
-    """A table of a page; the columns at the places `numbers` are aligned as such."""
-
-    def cells(tag: str, texts: Cells) -> str:
-        return "".join(
-            f'<{tag} class="number">{escape(text)}</{tag}>'
-            if place in numbers
-            else f"<{tag}>{escape(text)}</{tag}>"
-            for place, text in enumerate(texts)
-        )
-
-    body = "".join(f"<tr>{cells('td', row)}</tr>" for row in rows)
-    return f'<div class="wide"><table><thead><tr>{cells("th", columns)}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
 def _percent(share: float | None) -> str:

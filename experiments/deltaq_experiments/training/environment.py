@@ -20,8 +20,8 @@ from deltaq_experiments.training.task import CameraTask
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import Verdict
-from deltaq_verification.virtual_cell.cell import VirtualCell
-from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
+from deltaq_testing.virtual_cell.cell import VirtualCell
+from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 
 LARGEST_START_ERROR_DEG = 150.0
 _SEEDS = 2**31

@@ -12,7 +12,7 @@ from deltaq_experiments.training.observation import RobotObservation, RobotObser
 from deltaq_experiments.training.task import CameraTask, ViewErrors
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Phase, Verdict
-from deltaq_verification.virtual_cell.cell import VirtualCell
+from deltaq_testing.virtual_cell.cell import VirtualCell
 
 Observation = dict[str, RobotObservation]
 """What is seen of the policy's `own` robot and of the `leader`."""

@@ -8,9 +8,9 @@ from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
+from deltaq_deploy.launch.program import run_program
 from deltaq_experiments.figures import draw
 from deltaq_experiments.report import ExperimentOutcome
-from deltaq_launch.program import run_program
 from studies.claims.claim import Claim, ClaimOutcome, JsonReport
 from studies.claims.kept import KeptReports
 from studies.claims.page import ENOUGH, page

@@ -8,10 +8,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from deltaq_experiments.run_report.page import document, table
-from deltaq_experiments.run_report.svg import COLOURS, inlined, outline, settings
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Phase
+from deltaq_testing.report_page import COLOURS, document, inlined, outline, settings, table
 from deltaq_testing.scenario.file import dumped
 from deltaq_testing.scenario.run import ScenarioOutcome
 from deltaq_testing.virtual import CellUnderTest

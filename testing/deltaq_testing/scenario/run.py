@@ -14,12 +14,12 @@ from types import ModuleType
 from typing import Any
 
 from deltaq_protocol.errors import DeltaqError
+from deltaq_testing.faults.rsi_cell import load_rsi_cell
 from deltaq_testing.finding import RunFinding
 from deltaq_testing.scenario.file import ScenarioError
 from deltaq_testing.scenario.model import Scenario, Tracking
 from deltaq_testing.virtual import CellUnderTest
-from deltaq_verification.faults.rsi_cell import load_rsi_cell
-from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
+from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 
 # Finds what a scenario names: a controller or a function in a file beside it, or in a package.
 

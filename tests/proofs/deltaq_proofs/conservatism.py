@@ -19,7 +19,7 @@ from operator import add
 import numpy as np
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_launch.program import run_program
+from deltaq_deploy.launch.program import run_program
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.core import Decider
@@ -27,9 +27,9 @@ from deltaq_services.sim.gate import Decision
 from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.tracker import Tracker
 from deltaq_services.sim.tube import Windows
-from deltaq_verification.adversary import Adversary
-from deltaq_verification.oracle import ClearanceOracle
-from deltaq_verification.virtual_cell.cell import VirtualCell
+from deltaq_testing.adversary import Adversary
+from deltaq_testing.oracle import ClearanceOracle
+from deltaq_testing.virtual_cell.cell import VirtualCell
 
 QUANTILES = {"p50": 50.0, "p90": 90.0, "p95": 95.0, "p99": 99.0, "most": 100.0}
 

@@ -20,11 +20,11 @@ from rich.progress import track
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.compiled_proximity import CompiledProximity
-from deltaq_launch.program import run_program
+from deltaq_deploy.launch.program import run_program
 from deltaq_proofs.retreat_situations import Situation, situation
 from deltaq_proofs.retreat_stage import Stage
 from deltaq_protocol.arrays import Array
-from deltaq_verification.oracle import ClearanceOracle
+from deltaq_testing.oracle import ClearanceOracle
 
 TOLERANCE_M = 1e-5
 """How much nearer a pair may come in all."""

@@ -14,7 +14,7 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles, brake_travel
-from deltaq_verification.oracle import ClearanceOracle
+from deltaq_testing.oracle import ClearanceOracle
 
 DEEPEST_M = 0.03
 """Largest depth inside the stop distance at which a situation begins."""

@@ -11,7 +11,7 @@ import sys
 from deltaq_cell.cell_model import CellModel
 from deltaq_protocol import connect
 from deltaq_protocol.errors import DeltaqError
-from deltaq_verification.faults.mover import Mover
+from deltaq_testing.faults.mover import Mover
 
 _RETRY_S = 0.1
 

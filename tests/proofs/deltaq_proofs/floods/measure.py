@@ -17,10 +17,10 @@ from typing import Any
 
 from deltaq_cell.description import CellDescription
 from deltaq_cell.load import load_cell
-from deltaq_launch.cell_connection import connect, listen
-from deltaq_launch.launcher import Launcher
-from deltaq_launch.line_stop import stop_over_a_line
-from deltaq_launch.services import Role, Service, cell_services
+from deltaq_deploy.launch.cell_connection import connect, listen
+from deltaq_deploy.launch.launcher import Launcher
+from deltaq_deploy.launch.line_stop import stop_over_a_line
+from deltaq_deploy.launch.services import Role, Service, cell_services
 from deltaq_proofs.floods.attacks import ATTACKS, Attack
 from deltaq_protocol import topics
 from deltaq_protocol.blocking import BlockingCell

@@ -9,7 +9,7 @@ import argparse
 import json
 import sys
 
-from deltaq_launch.program import run_program
+from deltaq_deploy.launch.program import run_program
 from deltaq_proofs.model_checker.attacked import AttackedSystem
 from deltaq_proofs.model_checker.explore import Exploration, explore
 from deltaq_proofs.model_checker.safety_monitor import Property

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import Counter
 
 from deltaq_cell.description import CellDescription
+from deltaq_deploy.launch.cell_connection import connect
 from deltaq_emulator.states import KrcState
-from deltaq_launch.cell_connection import connect
 from deltaq_proofs.storm.worker import Worker
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Phase
-from deltaq_verification.faults.panel import PanelClient, PanelError, recovery
+from deltaq_testing.faults.panel import PanelClient, PanelError, recovery
 
 _LOOK_S = 0.25
 _RESTART_LOOKS = 120

@@ -11,9 +11,9 @@ from pathlib import Path
 
 from deltaq_cell.description import RsiDescription
 from deltaq_cell.find import resolve_near
+from deltaq_deploy.launch.launcher import Launcher
+from deltaq_deploy.launch.services import Role, Service, cell_services
 from deltaq_emulator.settings import KrcSettings
-from deltaq_launch.launcher import Launcher
-from deltaq_launch.services import Role, Service, cell_services
 from deltaq_proofs.storm.admitted import Admitted
 from deltaq_proofs.storm.forger import Forger
 from deltaq_proofs.storm.line import AttackedLine
@@ -24,8 +24,8 @@ from deltaq_protocol.endpoint import Address
 from deltaq_protocol.rsi import AxisMap, KrcCodec, load_ethernet_xml
 from deltaq_services.robot_server.krc_file import sensor_codec
 from deltaq_services.robot_server.probe_trial import pulse_offsets
-from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
-from deltaq_verification.virtual_cell.parts import Process
+from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
+from deltaq_testing.virtual_cell.parts import Process
 
 _PATIENT = {"late_budget": 1_000_000, "late_percent": 100.0}
 """A KRC that never gives up, which gives the attacker more to attack."""
@@ -155,5 +155,5 @@ def _services(loaded: LoadedCell, robot: str, line: Address, folder: Path) -> li
 def _mover(loaded: LoadedCell, robot: str) -> Service:
     """A controller that moves the robot."""
     port, home = loaded.model.description.tcp_port, loaded.model.robots[robot].home[0]
-    arguments = ("-m", "deltaq_verification.faults.mover", str(port), robot, f"{home}")
+    arguments = ("-m", "deltaq_testing.faults.mover", str(port), robot, f"{home}")
     return Service(Process.CONTROLLER, Role.LEADER, arguments)

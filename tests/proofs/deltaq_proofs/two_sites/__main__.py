@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_deploy.launch.program import run_program
 from deltaq_emulator.faults import LinkFaults
 from deltaq_experiments.live import trace_of
 from deltaq_experiments.scene import scene_of
-from deltaq_launch.program import run_program
 from deltaq_proofs.two_sites.far_virtual import figures_of, follow_in_virtual_time
 from deltaq_proofs.two_sites.packets import packet_link
 from deltaq_proofs.two_sites.sites import Sites, sites

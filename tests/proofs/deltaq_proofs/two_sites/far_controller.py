@@ -25,8 +25,8 @@ from deltaq_protocol.messages import (
     RobotState,
     Verdict,
 )
-from deltaq_verification.virtual_cell.clients import Say
-from deltaq_verification.virtual_cell.wires import MessageWire
+from deltaq_testing.virtual_cell.clients import Say
+from deltaq_testing.virtual_cell.wires import MessageWire
 
 _STREAMS = (Increment, RobotState, Verdict)
 

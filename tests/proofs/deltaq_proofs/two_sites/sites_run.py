@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_cell.load import load_cell
-from deltaq_launch.child_process import Child
+from deltaq_deploy.launch.child_process import Child
 from deltaq_proofs.two_sites.packets import within as thread_within
 from deltaq_proofs.two_sites.sites import Sites, within, write_cell
 from deltaq_protocol.certified.names import IDENTITY
@@ -27,7 +27,7 @@ from deltaq_protocol.sayings import HLI, services
 from deltaq_services.guarded_key import KEY_FILE
 from deltaq_services.hli.client_roles import CONTROLLER_TOKEN
 
-DELTAQ = (sys.executable, "-c", "from deltaq_command import main; main()")
+DELTAQ = (sys.executable, "-c", "from deltaq_deploy.command import main; main()")
 _STARTS_WITHIN_S = 120.0
 _ENDS_WITHIN_S = 30.0
 _PANEL_WITHIN_S = 15.0

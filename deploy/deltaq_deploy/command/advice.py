@@ -1,0 +1,281 @@
+"""The advisor on a cell: from where its robot is, or from its home, and through the gate to an option."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import time
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_cell.description import CellDescription, Pose
+from deltaq_cell.structure import placement
+from deltaq_controllers.advisor.advisor import Option, Progress
+from deltaq_controllers.advisor.advisor import advise as advise_on
+from deltaq_controllers.advisor.answered import Answered
+from deltaq_controllers.advisor.exact import ExactClearance
+from deltaq_controllers.advisor.problem import AdvisorError, AdvisorProblem
+from deltaq_controllers.inverse.redundant import first_redundant
+from deltaq_controllers.inverse.tracking import ConstraintTracker
+from deltaq_controllers.modes.advisor import AdvisorMode
+from deltaq_controllers.modes.motion import ModeName
+from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_controllers.operator_input.option import GoToOption
+from deltaq_controllers.statistics import ControlStatistics
+from deltaq_controllers.teleoperation import teleoperate
+from deltaq_deploy.launch.cell_connection import connect, known_robot
+from deltaq_protocol import connect as connect_to
+from deltaq_protocol.arrays import Array
+from deltaq_protocol.blocking import BlockingCell
+
+STATE_DEADLINE_S = 5.0
+
+
+@dataclass(frozen=True)
+class AdviceRequest:
+    """A question to the advisor; see `deltaq advise`."""
+
+    cell: str
+    robot: str = ""
+    hands: Mapping[str, tuple[float, ...]] | None = None
+    options: int = 5
+    method: str = "annealing"
+    weights: Mapping[str, float] | None = None
+    effort: float = 1.0
+    seed: int = 0
+    offline: bool = False
+    execute: int = 0
+    trade_off: tuple[str, str] | None = None
+    hands_may_leave: bool = False
+
+
+@dataclass(frozen=True)
+class Driven:
+    """How an option was driven to.
+
+    Attributes:
+        option: its rank.
+        reached: whether the robot stands there; otherwise it was stopped on its path.
+        outcomes: how many increments had which outcome.
+        hands_off_m: distance of the hands from their given poses, at the end.
+    """
+
+    option: int
+    reached: bool
+    outcomes: dict[str, int]
+    hands_off_m: float
+
+
+@dataclass(frozen=True)
+class Advice:
+    """The advisor's answer.
+
+    Attributes:
+        cell: name of the cell.
+        robot: name of the robot.
+        joints: their names.
+        method: of the search.
+        seed: of the search.
+        weights: of the criteria.
+        hands: (4, 4) pose required of each hand, in the world.
+        options: best first.
+        trials: configurations tried.
+        elapsed_s: from the question to the options, paths included.
+        executed: how the requested option was driven to; None if none was.
+        trade_off: the two criteria whose front the options are of; None for minima.
+        word: on an arm without a closed form; empty if every arm has one.
+    """
+
+    cell: str
+    robot: str
+    joints: tuple[str, ...]
+    method: str
+    seed: int
+    weights: dict[str, float]
+    hands: dict[str, Array]
+    options: list[Option]
+    trials: int
+    elapsed_s: float
+    executed: Driven | None = None
+    trade_off: tuple[str, str] | None = None
+    word: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """The answer as a JSON object, in SI units."""
+        return {
+            "cell": self.cell,
+            "robot": self.robot,
+            "joints": list(self.joints),
+            "method": self.method,
+            "seed": self.seed,
+            "weights": self.weights,
+            "trade_off": None if self.trade_off is None else list(self.trade_off),
+            "hands": {name: pose.tolist() for name, pose in self.hands.items()},
+            "trials": self.trials,
+            "elapsed_s": self.elapsed_s,
+            "word": self.word or None,
+            "options": [_as_dict(rank, option) for rank, option in enumerate(self.options, start=1)],
+            "executed": None if self.executed is None else asdict(self.executed),
+        }
+
+
+def advice(request: AdviceRequest, go_on: Callable[[Progress], bool] = lambda _: True) -> Advice:
+    """Ask the advisor, and drive to an option if requested.
+
+    Raises:
+        AdvisorError: a task that it cannot work on, or an option that does not exist or has no path.
+        ServiceUnreachableError: the cell is not running, and `offline` was not given.
+        RefusedError: the robot is leased to somebody else.
+    """
+    cell = CellModel.load(request.cell)
+    known_robot(cell.description, request.robot)
+    robot, tracker = _robot(cell, request.robot)
+    with ExitStack() as stack:
+        running: BlockingCell | None = None
+        present = {name: np.array(model.home) for name, model in cell.robots.items()}
+        if not request.offline:
+            running = stack.enter_context(connect(cell.description, "deltaq advise"))
+            present |= _present(running)
+        poses = _poses(tracker, present[robot], request.hands or {})
+        # an arm without a joint to spare has options where its hand is to go elsewhere
+        may_leave = request.hands_may_leave or (bool(request.hands) and not len(tracker.base))
+        problem = AdvisorProblem(cell, robot, poses, request.weights, tracker, present, may_leave)
+        began_s = time.perf_counter()
+        options = advise_on(
+            problem,
+            present[robot],
+            generator=np.random.default_rng(request.seed),
+            options=request.options,
+            method=request.method,
+            effort=request.effort,
+            trade_off=request.trade_off,
+            exact=ExactClearance(cell, robot, present),
+            go_on=go_on,
+        )
+        elapsed_s = time.perf_counter() - began_s
+        executed = None
+        if request.execute:
+            assert running is not None  # the command refuses to execute offline
+            executed = _drive(cell.description, tracker, options, request.execute)
+        return Advice(
+            cell=cell.description.cell,
+            robot=robot,
+            joints=tracker.robot.joint_names,
+            method=request.method,
+            seed=request.seed,
+            weights=problem.weights,
+            hands=dict(zip(tracker.robot.hands, poses, strict=True)),
+            options=options,
+            trials=problem.count,
+            elapsed_s=elapsed_s,
+            executed=executed,
+            trade_off=request.trade_off,
+            word=tracker.word,
+        )
+
+
+def _robot(cell: CellModel, name: str) -> tuple[str, ConstraintTracker]:
+    """The robot of that name, or the first redundant one."""
+    if name:
+        return name, ConstraintTracker(cell.robots[name])
+    if (tracker := first_redundant(cell.robots)) is not None:
+        return tracker.robot.name, tracker
+    raise AdvisorError(
+        f"cell {cell.description.cell} has no redundant robot whose hands are carried by six joints or more that turn: "
+        "nothing to advise on"
+    )
+
+
+def _present(running: BlockingCell) -> dict[str, Array]:
+    """Setpoints of the robots of a running cell, once each has been heard."""
+    deadline_s = time.monotonic() + STATE_DEADLINE_S
+    while True:
+        status = running.status().robots
+        if all(robot.q for robot in status.values()):
+            states = {name: running.state(name) for name in status}
+            return {
+                name: np.array(robot.q if state is None else state.q_cmd)
+                for (name, robot), state in zip(status.items(), states.values(), strict=True)
+            }
+        if time.monotonic() > deadline_s:
+            silent = ", ".join(name for name, robot in status.items() if not robot.q)
+            raise AdvisorError(f"no state of {silent} within {STATE_DEADLINE_S:g} s; see `deltaq status`")
+
+
+def _poses(tracker: ConstraintTracker, present: Array, given: Mapping[str, tuple[float, ...]]) -> Array:
+    """(h, 4, 4) poses required of the hands: as given, otherwise the present ones."""
+    hands = tracker.robot.hands
+    for name in given:
+        if name not in hands:
+            raise AdvisorError(
+                f"robot '{tracker.robot.name}' has no hand {name!r}; it has {', '.join(hands)}"
+            )
+    poses = tracker.hands(present)
+    for number, name in enumerate(hands):
+        if name in given:
+            x, y, z, roll, pitch, yaw = given[name]
+            poses[number] = placement(Pose(position_m=(x, y, z), rpy_deg=(roll, pitch, yaw))).homogeneous
+    return poses
+
+
+def _drive(cell: CellDescription, tracker: ConstraintTracker, options: list[Option], rank: int) -> Driven:
+    """Drive to the option of a rank, the robot at rest where the paths begin."""
+    if rank > len(options):
+        raise AdvisorError(f"there is no option {rank}; there are {len(options)}")
+    option = options[rank - 1]
+    if option.path is None:
+        ways = [str(number) for number, other in enumerate(options, start=1) if other.path is not None]
+        raise AdvisorError(
+            f"no path is known to option {rank}: {option.no_path}; options with a path: {', '.join(ways) or 'none'}"
+        )
+    answered = Answered(tracker, Progress("finding paths", 1.0, options[0].energy, 0, tuple(options)))
+    return asyncio.run(_go(cell, answered, rank, tracker.hands(option.q)))
+
+
+async def _go(cell: CellDescription, answered: Answered, rank: int, T_world_hands: Array) -> Driven:
+    robot = answered.tracker.robot
+    modes = {ModeName.ADVISOR: lambda robot: AdvisorMode(robot, cell.cycle_s, answered)}
+    teleoperator = Teleoperator(robot, cell.cycle_s, ModeName.ADVISOR, modes=modes)
+    statistics, enough = ControlStatistics(), asyncio.Event()
+    asyncio.get_running_loop().add_signal_handler(signal.SIGINT, enough.set)
+    async with connect_to(cell.hli, client="deltaq advise") as running:
+        operator = GoToOption(teleoperator, rank)
+        await teleoperate(running, teleoperator, operator, statistics, lambda _: None, enough)
+        state = running.state(robot.name)
+    assert state is not None  # the robot has been driven
+    off = answered.tracker.hands(np.array(state.q_cmd)) - T_world_hands
+    return Driven(
+        option=rank,
+        reached=operator.reached,
+        outcomes=statistics.summary()["gate"],
+        hands_off_m=float(np.linalg.norm(off[:, :3, 3], axis=1).max()),
+    )
+
+
+def _as_dict(rank: int, option: Option) -> dict[str, Any]:
+    return {
+        "rank": rank,
+        "energy": option.energy,
+        "energy_here": option.energy_here,
+        "q": option.q.tolist(),
+        "values": option.values,
+        "costs": option.costs,
+        "clearance_m": option.clearance.distance_m,
+        "room_m": option.clearance.room_m,
+        "pair": list(option.clearance.pair),
+        "nearest_limit": option.nearest_limit,
+        "limit_share": option.limit_share,
+        "near": {
+            kind.name.lower(): {"distance_m": one.distance_m, "room_m": one.room_m, "pair": list(one.pair)}
+            for kind, one in option.nearest.items()
+        },
+        "hands_move": option.hands_move,
+        "hands_leave": option.hands_leave,
+        "path": None if option.path is None else option.path.tolist(),
+        "no_path": option.no_path or None,
+    }

@@ -1,0 +1,228 @@
+"""`deltaq demo`."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from deltaq_deploy.command.options import CellOption, ConsoleOption, JsonOption
+from deltaq_deploy.launch.exit_status import BAD
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from deltaq_cell.description import CellDescription
+    from deltaq_deploy.command.observer import Track
+    from deltaq_deploy.launch.launcher import Launcher
+    from deltaq_protocol.messages import RobotStatus, Status
+
+TICK_S = 0.25
+TOLD_EVERY_S = 10.0
+SETTLED_S = 1.0
+"""The admission rate counts from here: a controller that serves has yet to take its lease."""
+
+
+def demo(
+    cell: CellOption = "lab",
+    duration_s: Annotated[
+        float,
+        typer.Option(min=1.0, envvar="DEMO_S", help="How long the leader moves and the camera follows."),
+    ] = 60.0,
+    open_console: Annotated[
+        bool, typer.Option("--open", help="Open the console in this machine's browser.")
+    ] = False,
+    with_console: ConsoleOption = True,
+    json: JsonOption = False,
+) -> None:
+    """Start an emulated cell; a scripted leader moves one arm, and the other follows it with its camera."""
+    import webbrowser
+    from functools import partial
+
+    from deltaq_cell.load import load_cell
+    from deltaq_deploy.command.console import console, prefixed_log, print_json
+    from deltaq_deploy.command.progress import shown_compiled_ahead
+    from deltaq_deploy.command.up import tell_of_console
+    from deltaq_deploy.launch.bring_to_rest import bring_to_rest
+    from deltaq_deploy.launch.launcher import Launcher
+    from deltaq_deploy.launch.prepare import needed_by
+    from deltaq_deploy.launch.services import (
+        cell_services,
+        console_is_installed,
+        console_service,
+        demo_controllers,
+    )
+
+    description = load_cell(cell)
+    services = (*cell_services(description, cell), *demo_controllers(description))
+    if with_console and console_is_installed():
+        services = (*services, console_service(description, cell, services))
+    output = console(sys.stderr)
+    log = prefixed_log(output, [service.name for service in services])
+    launcher = Launcher(services, log, partial(bring_to_rest, description, "deltaq demo"))
+    with shown_compiled_ahead(needed_by(services, description, cell)), launcher:
+        launcher.say(f"starting {len(services)} services")
+        launcher.start()
+        launcher.say(
+            f"cell {description.cell} is up; the camera follows for {duration_s:g} s, Ctrl-C ends it"
+        )
+        address = tell_of_console(launcher, with_console)
+        if open_console and address is not None:
+            webbrowser.open(address)
+        summary, problems = _follow(launcher, description, duration_s, output)
+    if launcher.unrested:
+        problems.append(f"the robots could not be asked to rest: {launcher.unrested}")
+    if json:
+        print_json(summary)
+    else:
+        show(summary)
+    for problem in problems:
+        typer.echo(f"deltaq: {problem}", err=True)
+    if problems:
+        raise typer.Exit(BAD)
+
+
+def _follow(
+    launcher: Launcher, cell: CellDescription, duration_s: float, output: Console
+) -> tuple[dict[str, Any], list[str]]:
+    from deltaq_deploy.command.observer import Observer
+    from deltaq_deploy.launch.cell_connection import connect, listen
+
+    def ask() -> Status:
+        with connect(cell, "deltaq demo") as running:
+            return running.status()
+
+    statuses = [ask()]
+    with listen(cell) as listener:
+        observer = Observer(listener, tuple(cell.robots))
+        problems = _wait(launcher, duration_s, output, lambda: statuses.append(ask()))
+        observer.close()
+    before, status = statuses[-1], ask()
+    # each prints its figures as it ends
+    launcher.stop_service("follower")
+    launcher.stop_service("leader")
+    summary = summarise(cell, observer.tracks, before, status, launcher.last_json("follower"))
+    still = [name for name, track in observer.tracks.items() if not any(track.travel)]
+    return summary, [*problems, *(f"{name} did not move" for name in still)]
+
+
+def _wait(
+    launcher: Launcher, duration_s: float, output: Console, on_settled: Callable[[], None]
+) -> list[str]:
+    """Show progress until the time is over, a service ends or a signal comes; returns what went wrong.
+
+    `on_settled` is called once, when the controllers have begun.
+    """
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from deltaq_deploy.command.up import tell_of_console
+    from deltaq_deploy.launch.child_process import Exited, Ready
+    from deltaq_deploy.launch.launcher import Interrupted, describe_exit
+
+    begin = time.monotonic()
+    told_s, settled = 0.0, False
+    columns = (TextColumn("the camera follows"), BarColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=output, transient=True, disable=not output.is_terminal) as progress:
+        task = progress.add_task("", total=duration_s)
+        while (elapsed := time.monotonic() - begin) < duration_s:
+            progress.update(task, completed=elapsed)
+            if not settled and elapsed >= SETTLED_S:
+                settled = True
+                on_settled()
+            if not output.is_terminal and elapsed - told_s >= TOLD_EVERY_S:
+                told_s = elapsed
+                launcher.say(f"{elapsed:.0f} of {duration_s:g} s")
+            match launcher.wait(min(TICK_S, duration_s - elapsed)):
+                case Interrupted(number):
+                    launcher.say(f"{number.name}: bringing the robots to rest")
+                    return []
+                case Ready("console"):
+                    tell_of_console(launcher, wanted=True)
+                case Exited("console", status):
+                    launcher.say(f"{describe_exit('console', status)}; the demonstration goes on without it")
+                case Exited(name, status):
+                    return [f"{describe_exit(name, status)} during the demonstration"]
+    return []
+
+
+def admission_rate(before: RobotStatus, after: RobotStatus) -> float | None:
+    """Share of a robot's cycles between two statuses in which a fresh, admitted increment reached it.
+
+    None if there was no cycle, or its Robot Server began anew in between.
+    """
+    cycles = after.cycle - before.cycle
+    admissions = after.counters.get("admissions", 0) - before.counters.get("admissions", 0)
+    return admissions / cycles if cycles > 0 and admissions >= 0 else None
+
+
+def summarise(
+    cell: CellDescription,
+    tracks: dict[str, Track],
+    before: Status,
+    status: Status,
+    tracking: dict[str, Any] | None,
+) -> dict[str, Any]:
+    """The figures of a demonstration, as `--json` prints them, from the statuses at its begin and at its end."""
+    from dataclasses import asdict
+
+    return {
+        "cell": cell.cell,
+        "cycle_s": cell.cycle_s,
+        "robots": {
+            name: {
+                "phase": status.robots[name].phase.value,
+                "cycles": asdict(track.rate),
+                "missed": track.missed,
+                "admission_rate": admission_rate(before.robots[name], status.robots[name]),
+                "travel": track.travel,
+                "counters": status.robots[name].counters,
+            }
+            for name, track in tracks.items()
+        },
+        "tracking": tracking,
+        "gate": status.gate,
+        "hli": status.hli,
+    }
+
+
+def show(summary: dict[str, Any]) -> None:
+    """Print the summary as people read it."""
+    from deltaq_deploy.command.console import counts, flat, print_table
+
+    def ms(value: float | None) -> str | None:
+        return None if value is None else f"{value * 1000:.2f}"
+
+    rows = []
+    for name, robot in summary["robots"].items():
+        cycles = robot["cycles"]
+        rows.append(
+            (
+                name,
+                cycles["count"],
+                robot["missed"],
+                ms(cycles["period_median_s"]),
+                ms(cycles["period_p99_s"]),
+                ms(cycles["period_max_s"]),
+            )
+        )
+    print_table(
+        f"cycles of {summary['cycle_s'] * 1000:g} ms, as a client saw them",
+        ("robot", "seen", "missed", "median ms", "p99 ms", "longest ms"),
+        rows,
+    )
+    for name, robot in summary["robots"].items():
+        if (rate := robot["admission_rate"]) is not None:
+            print(
+                f"{name}: a fresh increment that the gate had admitted reached the robot in {rate:.2%} of its cycles; "
+                "in the others it braked along a path that had been checked before"
+            )
+    tracking = summary["tracking"]
+    if tracking:
+        print_table("tracking", ("what", "value"), flat(tracking))
+    print(f"gate: {counts(summary['gate'])}")
+    print(f"hli: {counts(summary['hli'])}")
+    for name, robot in summary["robots"].items():
+        print(f"{name}: {counts(robot['counters'])}")

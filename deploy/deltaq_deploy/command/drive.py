@@ -1,0 +1,246 @@
+"""`deltaq drive`."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from deltaq_deploy.command.options import (
+    CellOption,
+    CriterionOption,
+    HandsMayLeaveOption,
+    JsonOption,
+    RobotOption,
+    TradeOffOption,
+)
+from deltaq_deploy.command.weights import two_criteria, weights_of
+from deltaq_deploy.launch.exit_status import BAD
+
+if TYPE_CHECKING:
+    from contextlib import ExitStack
+
+    from deltaq_cell.description import CellDescription
+    from deltaq_controllers.modes.teleoperator import Teleoperator
+    from deltaq_controllers.operator_input.interface import OperatorInput
+    from deltaq_controllers.operator_input.master import Clutch
+    from deltaq_protocol.client import Cell
+    from deltaq_protocol.errors import DeltaqError
+
+MODES = ("joint", "decoupled", "self-motion", "advisor", "coupled")
+FRAMES = ("world", "tool")
+INPUTS = ("keyboard", "gamepad", "spacemouse")
+
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+"""Signals that bring the robot to rest and end the drive."""
+
+
+def drive(
+    robot: RobotOption,
+    mode: Annotated[str, typer.Option(help=f"Mode to begin with: {', '.join(MODES)}.")] = "joint",
+    cell: CellOption = "lab",
+    frame: Annotated[str, typer.Option(help="Frame in which the hands are moved: world or tool.")] = "world",
+    criterion: CriterionOption = None,
+    trade_off: TradeOffOption = "",
+    hands_may_leave: HandsMayLeaveOption = False,
+    script: Annotated[
+        Path | None,
+        typer.Option(help="A YAML list of steps: duration_s, move, mode, frame, grip, option, outputs."),
+    ] = None,
+    device: Annotated[
+        str,
+        typer.Option("--input", help=f"Input device: {', '.join(INPUTS)}; the first one that is plugged in."),
+    ] = "keyboard",
+    master: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ROBOT",
+            help="Another robot of the cell whose tool leads the hand; the device of --input couples it.",
+        ),
+    ] = None,
+    master_scale: Annotated[
+        float,
+        typer.Option(min=0.01, max=5.0, help="Displacement of the hand for each metre of the master's."),
+    ] = 1.0,
+    speed_m_s: Annotated[
+        float, typer.Option(min=0.001, max=0.5, help="Hand speed to begin with, at full deflection.")
+    ] = 0.1,
+    jerk_time_s: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            max=1.0,
+            help="Time in which a joint's acceleration rises to its limit, in modes that move hands; "
+            "0 sets no limit to the jerk.",
+        ),
+    ] = 0.0,
+    json: JsonOption = False,
+) -> None:
+    """Drive a robot by hand or by script; however the drive ends, the robot comes to rest and is released."""
+    from contextlib import ExitStack
+
+    from deltaq_cell.load import load_cell
+    from deltaq_deploy.command.console import print_json
+    from deltaq_deploy.command.drive_display import show
+    from deltaq_deploy.launch.cell_connection import known_robot
+
+    if mode not in MODES:
+        raise typer.BadParameter(f"no mode {mode!r}; there are {', '.join(MODES)}", param_hint="--mode")
+    if frame not in FRAMES:
+        raise typer.BadParameter(f"no frame {frame!r}; there are {', '.join(FRAMES)}", param_hint="--frame")
+    if device not in INPUTS:
+        raise typer.BadParameter(f"no input {device!r}; there are {', '.join(INPUTS)}", param_hint="--input")
+    if script is not None and device != INPUTS[0]:
+        raise typer.BadParameter(
+            f"a script moves the robot alone; leave out --input {device}", param_hint="--script"
+        )
+    description = load_cell(cell)
+    known_robot(description, robot)
+    if master is not None:
+        if script is not None:
+            raise typer.BadParameter(
+                "a script couples no master; leave out one of both", param_hint="--master"
+            )
+        known_robot(description, master)
+    advised = _Advised(weights_of(criterion, "--criterion"), two_criteria(trade_off), hands_may_leave)
+    led = None if master is None else (master, master_scale)
+    choice = _Choice(description, robot, mode, frame, advised, script, device, led, speed_m_s, jerk_time_s)
+    with ExitStack() as terminal:
+        # a terminal is given back last: keys that are still held are not for the shell
+        summary, error = choice.run(terminal)
+        if json:
+            print_json(summary)
+        else:
+            show(summary)
+    if error is not None:
+        raise error
+    if script is not None and (summary["missed"] or any(each["error"] for each in summary["outputs"])):
+        raise typer.Exit(BAD)
+
+
+@dataclass(frozen=True)
+class _Advised:
+    """By what the advisor's options are chosen."""
+
+    weights: dict[str, float] | None
+    trade_off: tuple[str, str] | None
+    hands_may_leave: bool
+
+
+@dataclass(frozen=True)
+class _Choice:
+    """Options of the drive."""
+
+    cell: CellDescription
+    robot: str
+    mode: str
+    frame: str
+    advised: _Advised
+    script: Path | None
+    device: str
+    led: tuple[str, float] | None
+    speed_m_s: float
+    jerk_time_s: float
+
+    def run(self, terminal: ExitStack) -> tuple[dict[str, Any], DeltaqError | None]:
+        """Drive, and return the summary and the error that ended the drive, if one did.
+
+        Args:
+            terminal: gives the operator's device back.
+
+        Raises:
+            DeltaqError: the drive could not begin.
+        """
+        import asyncio
+
+        return asyncio.run(self._drive(terminal))
+
+    async def _drive(self, terminal: ExitStack) -> tuple[dict[str, Any], DeltaqError | None]:
+        import asyncio
+        from contextlib import ExitStack
+
+        from deltaq_controllers.live_teleoperator import teleoperator_for
+        from deltaq_controllers.modes.motion import Frame, ModeName
+        from deltaq_controllers.signals import SignalLog
+        from deltaq_controllers.statistics import ControlStatistics
+        from deltaq_controllers.teleoperation import DriveLog, teleoperate
+        from deltaq_deploy.command.drive_display import Display, summary
+        from deltaq_deploy.launch.cell_connection import OtherCellError
+        from deltaq_protocol import connect
+        from deltaq_protocol.errors import DeltaqError
+
+        async with connect(self.cell.hli, client="deltaq drive") as running:
+            if running.description.cell != self.cell.cell:
+                raise OtherCellError(
+                    f"{self.cell.hli} serves cell {running.description.cell}, not {self.cell.cell}; "
+                    "name the right one with --cell"
+                )
+            cycle_s = running.description.cycle_s
+            with ExitStack() as stack:
+                modes, advised = (ModeName(self.mode), Frame(self.frame)), self.advised
+                teleoperator = teleoperator_for(
+                    running,
+                    self.robot,
+                    stack,
+                    *modes,
+                    advised.weights,
+                    self.jerk_time_s,
+                    advised.trade_off,
+                    advised.hands_may_leave,
+                )
+                log, statistics = DriveLog(teleoperator, cycle_s), ControlStatistics()
+                signals, enough = SignalLog(), asyncio.Event()
+                for number in _ENDING:
+                    asyncio.get_running_loop().add_signal_handler(number, enough.set)
+                operator = terminal.enter_context(self._input(running, teleoperator))
+                display = Display(teleoperator, operator, signals)
+
+                def watch(q: Any) -> None:
+                    log.add(q)
+                    operator.reflect(teleoperator.reflection.share)
+                    display.show()
+
+                ended_by = None
+                try:
+                    await teleoperate(running, teleoperator, operator, statistics, watch, enough, signals)
+                except DeltaqError as error:
+                    if not log.legs:
+                        raise
+                    ended_by = error
+        return summary(self.robot, log, statistics, signals, ended_by), ended_by
+
+    def _input(self, running: Cell, teleoperator: Teleoperator) -> OperatorInput:
+        from deltaq_controllers.live import model_of, robot_models
+        from deltaq_controllers.operator_input import master
+        from deltaq_controllers.operator_input.script import Script
+
+        if self.script is not None:
+            return Script.load(self.script, teleoperator)
+        teleoperator.make_modes()  # the operator may switch to any of them
+        if self.led is None:
+            return self._held(running, teleoperator)
+        name, scale = self.led
+        model = model_of(robot_models(running.description), name)
+        print(master.HELP, file=sys.stderr)
+        look = master.looking_at(running, name, self.robot)
+        return master.Master(teleoperator, model, look, self._held(running, teleoperator), scale)
+
+    def _held(self, running: Cell, teleoperator: Teleoperator) -> Clutch:
+        """The device in the operator's hand."""
+        from deltaq_controllers.operator_input import gamepad, keyboard, spacemouse
+
+        if self.device == "gamepad":
+            from deltaq_controllers.operator_input.view_distance import AskedViewDistance
+
+            print(gamepad.HELP, file=sys.stderr)
+            return gamepad.Gamepad(teleoperator, self.speed_m_s, AskedViewDistance(running, self.robot))
+        keys = keyboard.Keyboard(teleoperator, speed_m_s=self.speed_m_s)
+        if self.device == "spacemouse":
+            print(f"{spacemouse.HELP}\n{keyboard.HELP}", file=sys.stderr)
+            return spacemouse.SpaceMouse(teleoperator, keys)
+        print(keyboard.HELP, file=sys.stderr)
+        return keys

@@ -1,0 +1,232 @@
+"""Verbs about files and the machine: check, schema, key and doctor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from deltaq_deploy.command.options import CellOption, JsonOption
+from deltaq_deploy.launch.exit_status import BAD
+
+if TYPE_CHECKING:
+    from deltaq_cell.check import CheckReport
+
+
+# The verb that makes identities: one for each service of a cell, its operators and its controllers.
+
+KEEP = (
+    "Who has its key can make identities of this cell: take the folder off this machine, and bring it back for "
+    "the next `deltaq keys`"
+)
+
+
+def keys(
+    cell: Annotated[str, typer.Argument(help="Name of a shipped cell or path of a YAML file.")],
+    to: Annotated[Path, typer.Option("--to", metavar="FOLDER", help="Folder for the identities.")],
+    operator: Annotated[
+        list[str] | None,
+        typer.Option("--operator", metavar="NAME", help="Make an identity for this operator; repeatable."),
+    ] = None,
+    controller: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--controller", metavar="NAME", help="Make an identity for this controller; repeatable."
+        ),
+    ] = None,
+    authority: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Folder of the authority's key.",
+            show_default="authority in the folder of --to",
+        ),
+    ] = None,
+    days: Annotated[
+        int, typer.Option(min=1, max=3650, help="Days for which the identities are valid.")
+    ] = 730,
+    json: JsonOption = False,
+) -> None:
+    """Make an authority for a cell, and an identity for each of its services, operators and controllers.
+
+    Each identity is a folder for the machine that needs it. The command makes what is missing, and writes nothing over.
+    """
+    from datetime import timedelta
+
+    from deltaq_cell.load import load_cell
+    from deltaq_deploy.command.console import print_json
+    from deltaq_protocol.certified.authority import make_identities
+    from deltaq_protocol.certified.certificate import now_utc
+    from deltaq_protocol.certified.names import IDENTITY, IdentityKind, name_of
+    from deltaq_protocol.sayings import services
+
+    description = load_cell(cell)
+    people = [name_of(IdentityKind.OPERATOR, name) for name in operator or ()]
+    people += [name_of(IdentityKind.CONTROLLER, name) for name in controller or ()]
+    of_cell = [name_of(IdentityKind.SERVICE, name) for name in services(tuple(description.robots))]
+    made = make_identities(
+        description.cell, to, of_cell, dict.fromkeys(people), now_utc(), authority, timedelta(days=days)
+    )
+    if json:
+        print_json(
+            {
+                "cell": description.cell,
+                "authority": str(made.authority),
+                "authority_is_new": made.is_new,
+                "made": {name: str(to / name) for name in made.made},
+                "kept": list(made.kept),
+                "valid_until": f"{made.valid_until:%Y-%m-%dT%H:%M:%SZ}",
+            }
+        )
+        return
+    for name in made.made:
+        typer.echo(f"{to / name}: {name} of cell {description.cell}")
+    for name in made.kept:
+        typer.echo(f"{name}: made before, and not again")
+    if made.made:
+        typer.echo(f"valid until {made.valid_until:%Y-%m-%d}; on each machine {IDENTITY} names its folder")
+    typer.echo(f"{made.authority}: the authority. {KEEP}")
+
+
+def check(
+    cell: Annotated[str, typer.Argument(help="Name of a shipped cell or path of a YAML file.")],
+    json: JsonOption = False,
+) -> None:
+    """Check the description of a cell; name file, line, field, value and bound of every error.
+
+    It also lists which bodies of a robot are never checked against which, and why.
+    """
+    from deltaq_cell.check import check_cell
+    from deltaq_cell.never_checked import Why
+    from deltaq_deploy.command.console import print_json
+
+    report = _with_identity(check_cell(cell))
+    if json:
+        print_json(report.as_dict())
+    else:
+        for problem in report.problems:
+            typer.echo(f"{problem.severity}: {problem}")
+        if not report.problems:
+            typer.echo(f"{cell}: good")
+        for robot, pairs in report.never_checked.items():
+            for why in dict.fromkeys(pairs.values()):
+                if why is Why.ONE_LINK:  # dozens where a gripper is modelled in parts; --json names them
+                    typer.echo(
+                        f"{robot}: never checked, since {why}: {list(pairs.values()).count(why)} pairs"
+                    )
+                    continue
+                named = [
+                    " - ".join(name.removeprefix(f"{robot}/") for name in p) for p in pairs if pairs[p] is why
+                ]
+                typer.echo(f"{robot}: never checked, since {why}: {', '.join(named)}")
+    if not report.ok:
+        raise typer.Exit(BAD)
+
+
+def _with_identity(report: CheckReport) -> CheckReport:
+    """The same with what is wrong with the identity, or the one key, that the environment names."""
+    import os
+    from dataclasses import replace
+
+    from deltaq_cell.load import load_cell
+    from deltaq_cell.problems import Problem
+    from deltaq_protocol.certified.names import IDENTITY
+    from deltaq_services.guarded_key import KEY_FILE, off_loopback
+
+    named = os.environ.get(IDENTITY)
+    if not report.ok:
+        return report
+    if not named:
+        leaves = off_loopback(load_cell(report.cell))
+        if leaves is None or not os.environ.get(KEY_FILE):
+            return report
+        text = (
+            f"one key for all services, and {leaves} leaves this machine: who breaks into one of its machines can "
+            f"speak as every service; `deltaq keys {report.cell} --to FOLDER` makes an identity each ({IDENTITY})"
+        )
+        return replace(
+            report, problems=(*report.problems, Problem(KEY_FILE, 0, "", text, severity="warning"))
+        )
+    from deltaq_services.service_identity import identity_faults
+
+    faults = identity_faults(load_cell(report.cell), Path(named))
+    found = [Problem(IDENTITY, 0, "", text, severity=severity) for severity, text in faults]
+    return replace(report, problems=(*report.problems, *found))
+
+
+def schema(
+    topic: Annotated[str | None, typer.Argument(help="Only this topic.", show_default=False)] = None,
+) -> None:
+    """Print the JSON Schema of every message, enough to write a controller in another language."""
+    import json
+
+    from deltaq_deploy.command.streams import by_name
+    from deltaq_protocol.topics import TOPICS
+
+    chosen = TOPICS if topic is None else (by_name(topic),)
+    document: dict[str, Any] = {
+        row.name: {
+            "key": row.template,
+            "realm": row.realm.value,
+            "kind": row.kind.value,
+            "publishers": [party.value for party in row.publishers],
+            "readers": [party.value for party in row.readers],
+            "rate": row.rate_text,
+            "max_age_cycles": row.max_age_cycles,
+            "max_age_s": row.max_age_s,
+            "priority": row.priority.value,
+            "message": row.message.model_json_schema(),
+            "reply": row.reply.model_json_schema() if row.reply else None,
+        }
+        for row in chosen
+    }
+    if topic is None:
+        document["json-lines"] = _lines()
+    typer.echo(json.dumps(document, indent=2))
+
+
+def _lines() -> dict[str, Any]:
+    from deltaq_protocol import messages
+
+    types = (messages.Hello, messages.Welcome, messages.Error, messages.Done)
+    return {"only over TCP": [message.model_json_schema() for message in types]}
+
+
+def key(
+    file: Annotated[Path, typer.Argument(help="File to write.")],
+    keep: Annotated[bool, typer.Option("--keep", help="Keep a key that exists already.")] = False,
+) -> None:
+    """Make one key for services that are started one by one, in a file that only its owner may read.
+
+    On several machines give each service an identity of its own instead: `deltaq keys`.
+    """
+    from deltaq_services.guarded_key import KEY_FILE, write_new_key
+
+    write_new_key(file, keep=keep)
+    typer.echo(
+        f"{file}: set {KEY_FILE} to its path for HLI, SIM and every Robot Server, on each of their machines"
+    )
+
+
+def doctor(cell: CellOption = "lab", json: JsonOption = False) -> None:
+    """Report whether this machine is fit to run a cell, and what would improve it."""
+    from dataclasses import asdict
+
+    from deltaq_cell.load import load_cell
+    from deltaq_deploy.command.console import print_json, print_table
+    from deltaq_deploy.launch.doctor import examine
+    from deltaq_deploy.launch.findings import Rating
+
+    findings = examine(load_cell(cell), cell)
+    bad = any(finding.verdict is Rating.BAD for finding in findings)
+    if json:
+        print_json({"fit": not bad, "findings": [asdict(finding) for finding in findings]})
+    else:
+        print_table(
+            "this machine",
+            ("what", "found", "verdict", "advice"),
+            ((finding.what, finding.found, finding.verdict, finding.advice) for finding in findings),
+        )
+    if bad:
+        raise typer.Exit(BAD)

@@ -1,0 +1,224 @@
+"""Verbs that command a running cell."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from deltaq_deploy.command.options import CellOption, JsonOption, RobotOption, TokenOption, UrlOption
+
+if TYPE_CHECKING:
+    from deltaq_protocol.messages import LeaseStatus
+
+
+def stop(cell: CellOption = "lab", url: UrlOption = None, json: JsonOption = False) -> None:
+    """Bring every robot of the cell to rest; each is held until it is reset. Anyone may."""
+    from deltaq_cell.load import load_cell
+    from deltaq_deploy.command.console import print_json
+    from deltaq_deploy.launch.cell_connection import Where, connect
+    from deltaq_deploy.launch.line_stop import stop_over_a_line
+    from deltaq_protocol.errors import ServiceUnreachableError
+
+    try:
+        with connect(Where.of(cell, url), "deltaq stop") as running:
+            done = running.stop()
+    except ServiceUnreachableError as no_session:
+        if url is not None:
+            raise
+        # every session may be taken; of lines there are some that are kept for a stop
+        try:
+            done = stop_over_a_line(load_cell(cell))
+        except ServiceUnreachableError:
+            raise no_session from None
+    if json:
+        print_json(done.model_dump(mode="json"))
+    else:
+        typer.echo("stopped: every robot brakes and is held; `deltaq reset --robot NAME` ends that")
+
+
+def reset(
+    robot: RobotOption,
+    cell: CellOption = "lab",
+    url: UrlOption = None,
+    token: TokenOption = None,
+    json: JsonOption = False,
+) -> None:
+    """End the hold of a robot; refused while its cause persists."""
+    from deltaq_deploy.command.console import print_json
+    from deltaq_deploy.launch.cell_connection import Where, connect, known_robot
+
+    with connect(Where.of(cell, url, robot), "deltaq reset", token) as running:
+        known_robot(running.description, robot)
+        done = running.reset(robot)
+    if json:
+        print_json(done.model_dump(mode="json"))
+    else:
+        typer.echo(f"reset: {robot} is ready")
+
+
+def lease(
+    robot: RobotOption,
+    cell: CellOption = "lab",
+    url: UrlOption = None,
+    take: Annotated[
+        bool,
+        typer.Option("--take", help="Take it from its holder and keep it until Ctrl-C: nobody can move."),
+    ] = False,
+    release: Annotated[
+        bool,
+        typer.Option("--release", help="Take it from its holder and release it: anybody can acquire it."),
+    ] = False,
+    token: TokenOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Show who holds the lease of a robot, or take it away."""
+    import time
+
+    from deltaq_deploy.launch.cell_connection import Where, connect, known_robot
+
+    if take and release:
+        raise typer.BadParameter("choose one of --take and --release")
+    with connect(Where.of(cell, url, robot), "deltaq lease", token) as running:
+        known_robot(running.description, robot)
+        if release:
+            with running.lease(robot, take=True):
+                pass
+        if not take:
+            _show(robot, running.status().robots[robot].lease, json)
+            return
+        with running.lease(robot, take=True):
+            _show(robot, running.status().robots[robot].lease, json)
+            # the client renews it in a separate thread
+            with contextlib.suppress(KeyboardInterrupt):
+                while True:
+                    time.sleep(60)
+
+
+def _show(robot: str, held: LeaseStatus, json: bool) -> None:
+    from deltaq_deploy.command.console import print_json
+
+    if json:
+        print_json({"robot": robot} | held.model_dump(mode="json"))
+    elif held.holder is None:
+        typer.echo(f"{robot}: free")
+    else:
+        typer.echo(f"{robot}: leased by {held.holder} (lease {held.epoch})")
+
+
+def io(
+    robot: RobotOption,
+    outputs: Annotated[
+        list[str] | None, typer.Argument(metavar="OUTPUT=on|off", help="Outputs to set; none: show all.")
+    ] = None,
+    cell: CellOption = "lab",
+    url: UrlOption = None,
+    token: TokenOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Show digital outputs and inputs of a robot, or set outputs; refused while another client has its lease."""
+    from deltaq_deploy.command.console import print_json
+    from deltaq_deploy.launch.cell_connection import Where, connect, known_robot
+
+    asked = dict(_switched(each) for each in outputs or ())
+    with connect(Where.of(cell, url, robot), "deltaq io", token) as running:
+        known_robot(running.description, robot)
+        if asked:
+            with running.lease(robot) as leased:
+                told = leased.io(asked)
+        else:
+            told = running.io(robot)
+    if json:
+        print_json(told.model_dump(mode="json"))
+        return
+    for kind, values in (("output", told.outputs), ("input", told.inputs)):
+        for name, is_on in values.items():
+            typer.echo(f"{kind} {name}: {'on' if is_on else 'off'}")
+    if not told.outputs and not told.inputs:
+        typer.echo(
+            f"{robot} has no digital outputs or inputs; they are named under its driver in the cell's YAML"
+        )
+
+
+def _switched(text: str) -> tuple[str, bool]:
+    name, _, value = text.partition("=")
+    if not name or value not in ("on", "off"):
+        raise typer.BadParameter(f"OUTPUT=on or OUTPUT=off, got {text!r}", param_hint="OUTPUT")
+    return name, value == "on"
+
+
+def contact(
+    name: Annotated[str | None, typer.Argument(help="A contact of the cell; none: list them.")] = None,
+    forbid: Annotated[bool, typer.Option("--forbid", help="Keep its bodies apart again.")] = False,
+    cell: CellOption = "lab",
+    token: TokenOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Allow a contact of the cell, at its own low speed, or list the contacts."""
+    from deltaq_cell.load import load_cell
+    from deltaq_deploy.command.console import print_json
+    from deltaq_deploy.launch.cell_connection import connect
+
+    description = load_cell(cell)
+    with connect(description, "deltaq contact", token) as running:
+        done = running.allow_contact(name, not forbid) if name is not None else None
+        allowed = running.status().contacts
+    if json:
+        told = {"contacts": {each: each in allowed for each in description.contacts}}
+        print_json(done.model_dump(mode="json") if done else told)
+    elif done is not None:
+        typer.echo(done.what)
+    else:
+        for each, its in description.contacts.items():
+            touching = f"{', '.join(its.bodies)} with {', '.join(its.against)}"
+            typer.echo(f"{each}: {'allowed' if each in allowed else 'forbidden'} ({touching})")
+        if not description.contacts:
+            typer.echo(f"{description.cell} has no contacts; they are described under `contacts` in its YAML")
+
+
+def dry_run(
+    robot: RobotOption,
+    dq: Annotated[
+        str,
+        typer.Option(metavar="DQ,DQ,...", help="Increment of one cycle, a number for each joint [rad or m]."),
+    ],
+    cell: CellOption = "lab",
+    json: JsonOption = False,
+) -> None:
+    """Ask for the gate's verdict on an increment; nothing moves. Exit status 1 unless all of it would be admitted."""
+    import math
+
+    from deltaq_cell.load import load_cell
+    from deltaq_deploy.command.console import print_json
+    from deltaq_deploy.launch.cell_connection import connect, known_robot
+    from deltaq_protocol.messages import Outcome
+
+    try:
+        increment = [float(number) for number in dq.split(",")]
+    except ValueError:
+        increment = []
+    if not increment or not all(map(math.isfinite, increment)):
+        raise typer.BadParameter(f"finite numbers with commas between them, got {dq!r}", param_hint="--dq")
+    description = load_cell(cell)
+    known_robot(description, robot)
+    with connect(description, "deltaq dry-run") as running:
+        verdict = running.dry_run(robot, increment)
+    if json:
+        print_json(verdict.model_dump(mode="json"))
+    else:
+        typer.echo(
+            f"{verdict.outcome}, {verdict.scale:.0%} of it; it would stop within {verdict.time_to_stop_s:g} s"
+        )
+        for reason in verdict.reasons:
+            typer.echo(
+                f"  {reason.code}: {reason.what} {_number(reason.value)} (bound {_number(reason.bound)})"
+            )
+        if verdict.clearance_m is not None and verdict.pair is not None:
+            typer.echo(f"  nearest: {' and '.join(verdict.pair)}, {verdict.clearance_m:.3f} m apart")
+    if verdict.outcome is not Outcome.ADMITTED:
+        raise typer.Exit(1)
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"

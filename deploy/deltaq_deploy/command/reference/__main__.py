@@ -1,0 +1,16 @@
+"""Write all pages: `python -m deltaq_deploy.command.reference`."""
+
+from __future__ import annotations
+
+from deltaq_deploy.command.reference import FOLDER, PAGES, page
+
+
+def main() -> None:
+    """Write all pages."""
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    for name in PAGES:
+        (FOLDER / name).write_text(page(name), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

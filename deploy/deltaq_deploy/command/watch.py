@@ -1,0 +1,195 @@
+"""Verbs that look at a running cell."""
+
+from __future__ import annotations
+
+import contextlib
+from itertools import count as counted
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from deltaq_deploy.command.options import CellOption, JsonOption, UrlOption
+from deltaq_deploy.launch.exit_status import BAD
+
+if TYPE_CHECKING:
+    from rich.console import Group
+
+    from deltaq_protocol.messages import Description, Status
+
+
+# `deltaq metrics`.
+
+
+def metrics(
+    cell: CellOption = "lab",
+    url: UrlOption = None,
+    address: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen on; 0: any free port.")] = 9464,
+) -> None:
+    """Serve the metrics of a running cell for Prometheus, until Ctrl-C; the cell may come and go meanwhile."""
+    import asyncio
+    import contextlib
+
+    from deltaq_deploy.launch.cell_connection import Where
+    from deltaq_protocol.errors import ServiceUnreachableError
+    from deltaq_protocol.log import configure
+    from deltaq_services.metrics.shell import Exporter
+
+    configure("metrics")
+    exporter = Exporter(Where.of(cell, url).hli)
+    with contextlib.suppress(KeyboardInterrupt):
+        try:
+            asyncio.run(exporter.run(address, port))
+        except OSError as error:
+            raise ServiceUnreachableError(f"cannot listen on {address}:{port}: {error.strerror}") from None
+
+
+# `deltaq ros2`.
+
+
+def ros2(
+    cell: CellOption = "lab",
+    url: UrlOption = None,
+    ros_endpoint: Annotated[
+        str,
+        typer.Option(
+            metavar="tcp/HOST:PORT",
+            help="Address of the zenoh router of ROS (rmw_zenohd). Its own default port, 7447, is that of the HLI "
+            "in the shipped cells.",
+        ),
+    ] = "tcp/127.0.0.1:7448",
+    domain_id: Annotated[
+        int, typer.Option(min=0, max=232, envvar="ROS_DOMAIN_ID", help="ROS domain, 0 to 232.")
+    ] = 0,
+    namespace: Annotated[
+        str | None,
+        typer.Option(help="Namespace of node and topics, e.g. /plant/lab.", show_default="the cell's name"),
+    ] = None,
+    accept_trajectories: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ROBOT",
+            help="A robot that JointTrajectory messages may move, by its lease and through the gate; repeatable. "
+            "Without it the bridge only publishes.",
+        ),
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Publish joint states of a running cell to ROS 2 over zenoh, and follow joint trajectories, until Ctrl-C.
+
+    Units are rad and m, rad/s and m/s. It speaks as rmw_zenoh does, and needs no ROS itself. With --json each line is
+    an object, and the last one has the counts.
+    """
+    import asyncio
+    import os
+
+    from deltaq_controllers.live import until_told
+    from deltaq_controllers.ros2.bridge import Bridge, RosSide
+    from deltaq_deploy.launch.cell_connection import Where
+    from deltaq_protocol import log
+
+    if json:
+        os.environ[log.FORMAT] = log.LogFormat.JSON
+    log.configure("ros2")
+    side = RosSide(ros_endpoint, domain_id, namespace, tuple(dict.fromkeys(accept_trajectories or ())))
+    bridge = Bridge(Where.of(cell, url).hli, side)
+    asyncio.run(until_told(bridge.run()))
+    log.say_result(bridge.summary())
+
+
+def status(cell: CellOption = "lab", url: UrlOption = None, json: JsonOption = False) -> None:
+    """Show a running cell: phases, leases, age of data, what the gate decided, the nearest pair."""
+    from deltaq_deploy.command.console import PIPE_WIDTH, console, print_json
+    from deltaq_deploy.launch.cell_connection import Where, connect
+
+    with connect(Where.of(cell, url), "deltaq status") as running:
+        answer, description = running.status(), running.description
+    if json:
+        print_json(answer.model_dump(mode="json"))
+    else:
+        target = console()
+        if not target.is_terminal:
+            target.width = PIPE_WIDTH
+        target.print(shown(answer, description))
+
+
+def shown(answer: Status, cell: Description) -> Group:
+    """A status for people."""
+    from rich.console import Group
+    from rich.text import Text
+
+    from deltaq_deploy.command.console import counts, degrees_or_millimetres, table_of
+
+    rows = []
+    for name, robot in answer.robots.items():
+        units = cell.robots[name].units if name in cell.robots else ()
+        q = " ".join(degrees_or_millimetres(*joint) for joint in zip(robot.q, units, strict=False))
+        age = None if robot.state_age_s is None else f"{robot.state_age_s * 1000:.0f} ms"
+        rows.append((name, robot.phase, robot.reason, robot.cycle, age, robot.lease.holder, q))
+    columns = ("robot", "phase", "reason", "cycle", "age", "leased by", "joints")
+    gate_age = "silent" if answer.gate_age_s is None else f"{answer.gate_age_s:.1f} s ago"
+    lines = [f"gate ({gate_age}): {counts(answer.gate)}", f"hli: {counts(answer.hli)}"]
+    lines += [f"{name}: {counts(robot.counters)}" for name, robot in answer.robots.items()]
+    for name, robot in answer.robots.items():
+        if robot.lag_s:
+            lags = ("-" if lag_s is None else f"{lag_s * 1e3:.0f}" for lag_s in robot.lag_s)
+            lines.append(f"{name}: the axes lag {' '.join(lags)} ms")
+    if answer.contacts:
+        lines.append(f"contacts allowed: {', '.join(answer.contacts)}")
+    lines += [f"another cell: {said}" for said in answer.mismatches]
+    lines += [f"lagging: {fault}" for fault in answer.lagging]
+    if answer.nearest is not None:
+        pair = " and ".join(answer.nearest.pair)
+        lines.append(f"nearest: {pair}, {answer.nearest.distance_m * 1000:.0f} mm")
+    return Group(table_of(f"cell {answer.identity or answer.cell}", columns, rows), *map(Text, lines))
+
+
+def top(
+    cell: CellOption = "lab",
+    url: UrlOption = None,
+    interval_s: Annotated[float, typer.Option(min=0.05, help="Time between two updates.")] = 0.5,
+    count: Annotated[int, typer.Option(min=0, help="End after this many updates; 0: never.")] = 0,
+    json: JsonOption = False,
+) -> None:
+    """Watch a running cell: repeat `status` until Ctrl-C; with --json one object a line."""
+    import time
+
+    from rich.live import Live
+
+    from deltaq_deploy.command.console import console, print_json
+    from deltaq_deploy.launch.cell_connection import Where, connect
+
+    with connect(Where.of(cell, url), "deltaq top") as running, contextlib.suppress(KeyboardInterrupt):
+        screen = contextlib.nullcontext() if json else Live(console=console(), auto_refresh=False)
+        with screen as live:
+            for look in counted(1):
+                answer = running.status()
+                if live is None:
+                    print_json(answer.model_dump(mode="json"))
+                else:
+                    live.update(shown(answer, running.description), refresh=True)
+                if look == count:
+                    return
+                time.sleep(interval_s)
+
+
+def health(
+    service: Annotated[str, typer.Argument(help="A service of the cell, e.g. sim or robot-server-fr.")],
+    cell: CellOption = "lab",
+    json: JsonOption = False,
+) -> None:
+    """Ask one service whether it is healthy: exit status 0 yes, 1 no, 3 no answer."""
+    from deltaq_cell.load import load_cell
+    from deltaq_deploy.command.console import print_json
+    from deltaq_deploy.launch.probes import probe
+    from deltaq_deploy.launch.services import cell_services, console_service, one
+
+    description = load_cell(cell)
+    services = (*cell_services(description, cell), console_service(description, cell, ()))
+    answer = probe(one(services, service), description)
+    if json:
+        print_json({"service": service, "healthy": answer.healthy, "detail": answer.detail})
+    else:
+        typer.echo(f"{service}: {'healthy' if answer.healthy else 'not healthy'}  {answer.detail}".rstrip())
+    if not answer.healthy:
+        raise typer.Exit(BAD)

@@ -1,0 +1,236 @@
+"""Writes `deploy/compose.yaml` and `deploy/compose.tokens.yaml` from the table of services: `make docs`.
+
+`python -m deltaq_deploy.launch.compose CELL` prints the file of another cell, by its name or path, with all in one.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from deltaq_cell.description import CellDescription
+from deltaq_cell.find import find_cell
+from deltaq_cell.load import load_cell
+from deltaq_cell.open_realm import is_loopback
+from deltaq_deploy.launch.container import HARDENED, container
+from deltaq_deploy.launch.services import (
+    GUARDED_ROLES,
+    Role,
+    Service,
+    cell_services,
+    console_service,
+    demo_controllers,
+    metrics_exporter,
+)
+from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.given_token import CLIENT_TOKEN, OPERATOR_TOKEN
+from deltaq_services.console.settings import CONSOLE_TOKEN
+from deltaq_services.guarded_key import KEY_FILE, off_loopback
+from deltaq_services.hli.audit import audit_file_name
+from deltaq_services.hli.client_roles import CONTROLLER_TOKEN
+from deltaq_services.hli.line_encryption import CERTIFICATE_FILE
+from deltaq_services.hli.line_encryption import KEY_FILE as LINES_KEY_FILE
+from deltaq_services.process import AUDIT_FILE
+
+DEPLOY = Path(__file__).parents[3] / "deploy"
+FILE = DEPLOY / "compose.yaml"
+TOKENS_FILE = DEPLOY / "compose.tokens.yaml"
+CELL = "lab"
+HEADER = """\
+# The lab cell in containers: the services of `deltaq up`, with `--profile demo` the controllers of `deltaq demo`,
+# with `--profile metrics` what Prometheus reads. Written by `make docs`; do not edit.
+#
+#   docker compose -f deploy/compose.yaml up --build --wait   build the image, and the emulated cell
+#   docker compose -f deploy/compose.yaml up --wait hli       the same without emulators: real robots
+"""
+TOKENS_HEADER = """\
+# Tokens for the lab cell in containers, as secrets. Written by `make docs`; do not edit.
+#
+#   docker compose -f deploy/compose.yaml -f deploy/compose.tokens.yaml up --wait
+"""
+
+KEY_MAKER = "guarded-key"
+"""The service that makes the guarded realm's key for the others, if it is not there yet."""
+ADDRESS = "address"
+"""The service of the demonstration that prints where the console is."""
+_KEY_VOLUME, _KEY_FOLDER = "guarded", "/run/deltaq"
+_AUDIT_VOLUME, _AUDIT_FOLDER = "audit", "/var/lib/deltaq"
+_BUILD = {"context": "..", "dockerfile": "deploy/Dockerfile"}
+
+_TOKENS = {
+    Role.HLI: (f"{OPERATOR_TOKEN}_FILE", f"{CONTROLLER_TOKEN}_FILE"),
+    Role.CONSOLE: (f"{CONSOLE_TOKEN}_FILE", f"{OPERATOR_TOKEN}_FILE"),
+}
+_CONTROLLER_ROLES = (Role.LEADER, Role.FOLLOWER)
+_MAKES_TOKEN = "name a file with a token"
+_MAKES = {
+    KEY_FILE: "name a file made with `deltaq key`",
+    CERTIFICATE_FILE: "name a certificate",
+    LINES_KEY_FILE: "name the private key of the certificate",
+}
+
+
+def compose_document(cell_name: str = CELL) -> dict[str, Any]:
+    """The compose document of a cell: one container a service.
+
+    Those that speak in the guarded realm share its key. On the loopback the first container makes it, in a volume of
+    theirs; where the realm leaves the loopback, it is a secret that the user gives. So are tokens and the certificate
+    of the lines, where the cell needs them.
+    """
+    cell = load_cell(cell_name)
+    services = _services(cell, cell_name)
+    document: dict[str, Any] = {service.name: container(service, cell_name) for service in services}
+    document[ADDRESS] = _address(services[-1])
+    controllers = demo_controllers(cell)
+    # `up --wait` fails on a container that ends, unless another waits for its end
+    told = {ADDRESS: {"condition": "service_completed_successfully"}}
+    for controller in controllers:
+        one = container(controller, cell_name) | {"profiles": ["demo"]}
+        document[controller.name] = one | {"depends_on": one["depends_on"] | told}
+    exporter = metrics_exporter(cell_name)
+    document[exporter.name] = container(exporter, cell_name) | {"profiles": ["metrics"]}
+    hli = document["hli"]
+    hli["environment"][AUDIT_FILE] = f"{_AUDIT_FOLDER}/{audit_file_name(cell.cell)}"
+    hli["volumes"] = [*hli.get("volumes", []), f"{_AUDIT_VOLUME}:{_AUDIT_FOLDER}"]
+    volumes: dict[str, Any] = {_AUDIT_VOLUME: {}}
+    guarded = [service for service in services if service.role in GUARDED_ROLES]
+    if off_loopback(cell) is None:
+        file = f"{_KEY_FOLDER}/guarded.key"
+        for one in (document[service.name] for service in guarded):
+            one["environment"][KEY_FILE] = file
+            one["volumes"] = [*one.get("volumes", []), f"{_KEY_VOLUME}:{_KEY_FOLDER}:ro"]
+            made = {KEY_MAKER: {"condition": "service_completed_successfully"}}
+            one["depends_on"] = made | one.get("depends_on", {})
+        document = {KEY_MAKER: _key_maker(file)} | document
+        volumes = {_KEY_VOLUME: {}} | volumes
+    given: dict[str, Any] = {}
+    if off_loopback(cell) is not None:
+        for service in guarded:
+            _give(document[service.name], given, KEY_FILE)
+    if cell.clients_need_tokens:
+        _give_tokens(document, given, (*services, *controllers))
+        if not is_loopback(cell.tcp_address):
+            _give(hli, given, CERTIFICATE_FILE, LINES_KEY_FILE)
+    elif not is_loopback(cell.console_address):
+        _give(document["console"], given, f"{CONSOLE_TOKEN}_FILE")
+    # all others wait for the first, directly or not, and find its image
+    first = next(iter(document))
+    document[first] = {"build": _BUILD} | document[first]
+    return {"name": "deltaq", "services": document, "volumes": volumes} | (
+        {"secrets": given} if given else {}
+    )
+
+
+def tokens_document(cell_name: str = CELL) -> dict[str, Any]:
+    """What a second compose file adds to a cell that runs without tokens: all of them, as secrets."""
+    given: dict[str, Any] = {}
+    cell = load_cell(cell_name)
+    everybody = (*_services(cell, cell_name), *demo_controllers(cell))
+    services = tuple(one for one in everybody if one.role in (*_TOKENS, *_CONTROLLER_ROLES))
+    document: dict[str, Any] = {service.name: {"environment": {}} for service in services}
+    document[ADDRESS] = {}
+    _give_tokens(document, given, services)
+    return {"services": document, "secrets": given}
+
+
+def compose_text(cell_name: str = CELL) -> str:
+    """The compose document as YAML, with its header."""
+    return HEADER + _yaml(compose_document(cell_name))
+
+
+def tokens_text() -> str:
+    """The document of the tokens as YAML, with its header."""
+    return TOKENS_HEADER + _yaml(tokens_document())
+
+
+def _services(cell: CellDescription, cell_name: str) -> tuple[Service, ...]:
+    services = cell_services(cell, cell_name)
+    return (*services, console_service(cell, cell_name, services))
+
+
+def _give(one: dict[str, Any], given: dict[str, Any], *variables: str) -> None:
+    """Give a container secrets, each in a file that the variable names: inside, and outside for who starts compose."""
+    for variable in variables:
+        secret = _secret_of(variable)
+        one["environment"][variable] = f"/run/secrets/{secret}"
+        one["secrets"] = [*one.get("secrets", []), secret]
+        needed = f"{_MAKES.get(variable, _MAKES_TOKEN)} in {variable}"
+        given[secret] = {"file": f"${{{variable}:?{needed}}}"}  # compose refuses to start anything without it
+
+
+def _give_tokens(document: dict[str, Any], given: dict[str, Any], services: Sequence[Service]) -> None:
+    """Give each container of a cell with tokens those that it needs, and tell the console's with its address."""
+    for service in services:
+        _give(document[service.name], given, *_TOKENS.get(service.role, ()))
+        if service.role in _CONTROLLER_ROLES:
+            secret = _secret_of(f"{CONTROLLER_TOKEN}_FILE")
+            document[service.name]["environment"][f"{CLIENT_TOKEN}_FILE"] = f"/run/secrets/{secret}"
+            document[service.name]["secrets"] = [secret]
+        if service.role is Role.CONSOLE:
+            secret = _secret_of(f"{CONSOLE_TOKEN}_FILE")
+            told = f"echo the console is at '{service.endpoint}/?token='$$(cat /run/secrets/{secret})"
+            document[ADDRESS] |= {"command": ["sh", "-c", told], "secrets": [secret]}
+
+
+def _secret_of(variable: str) -> str:
+    return variable.lower().removesuffix("_file").replace("_", "-")
+
+
+def _key_maker(file: str) -> dict[str, Any]:
+    return HARDENED | {
+        "command": ["deltaq", "key", file, "--keep"],
+        "network_mode": "none",
+        "mem_limit": "384m",
+        "pids_limit": 32,
+        "volumes": [f"{_KEY_VOLUME}:{_KEY_FOLDER}"],
+    }
+
+
+def _address(console: Service) -> dict[str, Any]:
+    return HARDENED | {
+        "command": ["echo", f"the console is at {console.endpoint}"],
+        "network_mode": "none",
+        "mem_limit": "32m",
+        "pids_limit": 8,
+        "depends_on": {console.name: {"condition": "service_healthy"}},
+        "profiles": ["demo"],
+    }
+
+
+def _yaml(document: dict[str, Any]) -> str:
+    return yaml.dump(document, Dumper=_Indented, sort_keys=False, width=120)
+
+
+class _Indented(yaml.SafeDumper):
+    """Indents lists below their key, as compose files have them, and writes none twice as an alias."""
+
+    def increase_indent(self, flow: bool = False, indentless: bool = False) -> None:  # noqa: ARG002 # PyYAML asks
+        super().increase_indent(flow, indentless=False)
+
+    def ignore_aliases(self, data: object) -> bool:  # noqa: ARG002 # PyYAML asks
+        return True
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Print the document of a cell, or write those that are shipped."""
+    parser = argparse.ArgumentParser(
+        prog="python -m deltaq_deploy.launch.compose", description="compose file of a cell"
+    )
+    parser.add_argument("cell", nargs="?", help="name or YAML file of the cell, whose document is printed")
+    given = parser.parse_args(argv)
+    if given.cell is None:
+        FILE.write_text(compose_text(), encoding="utf-8")
+        TOKENS_FILE.write_text(tokens_text(), encoding="utf-8")
+        return
+    try:
+        print(compose_text(str(find_cell(given.cell).resolve())), end="")
+    except DeltaqError as error:
+        parser.error(str(error))
+
+
+if __name__ == "__main__":
+    main()

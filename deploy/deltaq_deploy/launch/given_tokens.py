@@ -1,0 +1,82 @@
+"""Tokens of what a launch starts: one for its console, and the controllers' for the demonstration's.
+
+A console gets a new one where it holds a role that it would lend to every user of the machine. It lies in the user's
+runtime folder for as long as the launch lasts. Two launches cannot have the same console, since only one gets its port.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+from collections.abc import Mapping
+from pathlib import Path
+
+from deltaq_deploy.launch.errors import LaunchError
+from deltaq_protocol.given_token import CLIENT_TOKEN, OPERATOR_TOKEN, given_token
+from deltaq_protocol.role_prover import environment_has_role
+from deltaq_services.console.settings import CONSOLE_TOKEN
+from deltaq_services.hli.client_roles import CONTROLLER_TOKEN
+from deltaq_services.runtime_folder import runtime_folder
+
+_TOKEN_BYTES = 24
+
+
+def console_needs_token(environment: Mapping[str, str] = os.environ) -> bool:
+    """Whether a console that inherits this environment commands in somebody's name, and has no token of its own.
+
+    Raises:
+        GivenTokenError: a token's file cannot be read, or is no secret.
+    """
+    if given_token(CONSOLE_TOKEN, environment) is not None:
+        return False
+    return given_token(OPERATOR_TOKEN, environment) is not None or environment_has_role(environment)
+
+
+def controllers_token(environment: Mapping[str, str]) -> dict[str, str]:
+    """What shows the role of a launch's own controllers: the controllers' token, unless its clients show another."""
+    if environment_has_role(environment):
+        return {}
+    given = {CLIENT_TOKEN: CONTROLLER_TOKEN, f"{CLIENT_TOKEN}_FILE": f"{CONTROLLER_TOKEN}_FILE"}
+    return {name: environment[source] for name, source in given.items() if environment.get(source)}
+
+
+class ConsoleToken:
+    """A new token for the console at a port, as long as this is open.
+
+    Attributes:
+        file: of mode 0600, that holds it.
+        query: what stands behind the console's address.
+
+    Raises:
+        RuntimeFolderError: if the user has no folder of their own.
+        LaunchError: if the file cannot be written.
+    """
+
+    def __init__(self, port: int) -> None:
+        self.file = runtime_folder() / f"console-{port}.token"
+        token = secrets.token_urlsafe(_TOKEN_BYTES)
+        self.query = f"/?token={token}"
+        _write_anew(self.file, token)
+
+    def page(self, address: str) -> str:
+        """What a browser of this user opens, and is led on by: a file, since all users see a program's arguments."""
+        page = self.file.with_suffix(".html")
+        _write_anew(page, f'<meta http-equiv="refresh" content="0;url={address}{self.query}">')
+        return page.as_uri()
+
+    def close(self) -> None:
+        """The console has ended."""
+        for file in (self.file, self.file.with_suffix(".html")):
+            file.unlink(missing_ok=True)
+
+
+def _write_anew(file: Path, text: str) -> None:
+    try:
+        with contextlib.suppress(FileNotFoundError):
+            file.unlink()  # of a launch that was killed
+        descriptor = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    except OSError as error:
+        raise LaunchError(f"{file} cannot be written: {error.strerror}") from error
+    with os.fdopen(descriptor, "w", encoding="utf-8") as opened:
+        opened.write(text + "\n")

@@ -1,0 +1,131 @@
+"""Asking one service whether it is healthy, as its row of the table says."""
+
+from __future__ import annotations
+
+import socket
+import time
+from dataclasses import dataclass
+from typing import assert_never
+from urllib.request import urlopen
+
+from pydantic import BaseModel
+
+from deltaq_cell.description import CellDescription
+from deltaq_deploy.launch.services import Probe, Service
+from deltaq_protocol import topics
+from deltaq_protocol.codec import unpack
+from deltaq_protocol.endpoint import Endpoint
+from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
+from deltaq_protocol.guarded import Health
+
+TIMEOUT_S = 3.0
+
+
+class NoProbeError(DeltaqError):
+    """A service that cannot be asked."""
+
+
+class _Panel(BaseModel):
+    """The part of an emulator's panel status that is used."""
+
+    ok: bool
+    state: str
+    message: str | None = None
+
+
+class _Web(BaseModel):
+    """The part of a web service's health that is used."""
+
+    healthy: bool
+    detail: str
+
+
+@dataclass(frozen=True)
+class ProbeAnswer:
+    """A service's report on itself."""
+
+    healthy: bool
+    detail: str
+
+
+def probe(service: Service, cell: CellDescription) -> ProbeAnswer:
+    """Ask a service for its health.
+
+    Raises:
+        ServiceUnreachableError: if it does not answer within `TIMEOUT_S`.
+        NoProbeError: if it has nothing to be asked at.
+        GuardedKeyError: if its answer is sealed, and there is no key to read it with.
+    """
+    if service.probe is None or service.endpoint is None:
+        raise NoProbeError(f"{service.name} has no health to ask for")
+    match service.probe:
+        case Probe.HEALTH_TOPIC:
+            return _ask_health_topic(service.name, service.endpoint, cell)
+        case Probe.STATUS_QUERY:
+            return _ask_hli(cell)
+        case Probe.PANEL:
+            return _ask_panel(service.name, service.endpoint)
+        case Probe.WEB:
+            return _ask_web(service.name, service.endpoint)
+        case _:
+            assert_never(service.probe)
+
+
+def _ask_health_topic(name: str, endpoint: str, cell: CellDescription) -> ProbeAnswer:
+    import zenoh
+
+    from deltaq_services.guarded_key import guarded_seal
+    from deltaq_services.guarded_session import open_watching_session
+
+    seal = guarded_seal(cell, watched=name)
+    session = open_watching_session(cell, [endpoint], watched=name)
+    try:
+        key = topics.HEALTH.key(cell.cell, service=name)
+        with session.declare_subscriber(key, zenoh.handlers.FifoChannel(4)) as subscriber:
+            deadline = time.monotonic() + TIMEOUT_S
+            while (sample := subscriber.try_recv()) is None:
+                if time.monotonic() > deadline:
+                    raise _silent(name, endpoint)
+                time.sleep(0.01)
+            health = unpack(Health, seal.read(key, sample.payload.to_bytes()))
+            return ProbeAnswer(health.healthy, health.detail)
+    finally:
+        session.close()
+
+
+def _ask_hli(cell: CellDescription) -> ProbeAnswer:
+    from deltaq_deploy.launch.cell_connection import connect
+
+    with connect(cell, "deltaq health") as running:
+        status = running.status()
+    if status.gate_age_s is None or status.gate_age_s > topics.HEALTH.age_s(cell.cycle_s):
+        return ProbeAnswer(False, "the SIM is silent")
+    lagging = f", lagging: {'; '.join(status.lagging)}" if status.lagging else ""
+    return ProbeAnswer(True, f"robots: {len(status.robots)}{lagging}")
+
+
+def _ask_panel(name: str, endpoint: str) -> ProbeAnswer:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as panel:
+        panel.settimeout(TIMEOUT_S)
+        try:
+            panel.connect(Endpoint.parse(endpoint).address)
+            panel.send(b'{"op":"status"}')
+            answer = _Panel.model_validate_json(panel.recv(65536))
+        except (OSError, ValueError) as error:
+            raise _silent(name, endpoint) from error
+    return ProbeAnswer(answer.ok, answer.message or answer.state)
+
+
+def _ask_web(name: str, endpoint: str) -> ProbeAnswer:
+    try:
+        with urlopen(f"{endpoint}/health", timeout=TIMEOUT_S) as reply:
+            answer = _Web.model_validate_json(reply.read(65536))
+    except (OSError, ValueError) as error:
+        raise _silent(name, endpoint) from error
+    return ProbeAnswer(answer.healthy, answer.detail)
+
+
+def _silent(name: str, endpoint: str) -> ServiceUnreachableError:
+    return ServiceUnreachableError(
+        f"{name} at {endpoint} did not answer within {TIMEOUT_S:g} s; is the cell up (`deltaq up`)?"
+    )

@@ -1,0 +1,257 @@
+"""The catalogue of faults: one row a fault, injected in virtual time, live, or into a cell that is up.
+
+A fault of a KRC or of its wire is a request to the emulated controller's panel and the same everywhere. A
+process that dies or freezes is so live too. To a wire between processes a relay does live what is done to the wires
+between the cores in virtual time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from deltaq_emulator.faults import LinkFaults
+from deltaq_protocol.errors import DeltaqError
+from deltaq_testing.faults.actions import (
+    Action,
+    AskPanel,
+    BeginInThePast,
+    Bombard,
+    FillDisk,
+    Freeze,
+    Impair,
+    ImpairStream,
+    Kill,
+    Misbehave,
+    Misbehaviour,
+    PressStop,
+    ReadNothing,
+    SetWallClock,
+    Slow,
+    StepClock,
+)
+from deltaq_testing.impairment.stream import StreamFaults
+from deltaq_testing.virtual_cell.parts import Link, Process
+
+
+class UnknownFaultError(DeltaqError):
+    """A fault was named that the catalogue does not have, or that cannot be had this way."""
+
+
+CHANGE_S = 0.4
+"""How long a program is stopped at least while it is changed: longer than a KRC may be silent within a session."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One row of the catalogue.
+
+    Attributes:
+        name: what it is asked for by.
+        what: what happens, for people.
+        action: what is done.
+        lift: a panel request that ends it, where it does not end by itself or with its process.
+    """
+
+    name: str
+    what: str
+    action: Action
+    lift: Mapping[str, Any] | None = field(default=None)
+
+    @property
+    def changes_program(self) -> bool:
+        """Whether another program is started to lift it, so that the one that runs has to be stopped before."""
+        return self.lift is not None and self.lift["op"] == "restart"
+
+    @property
+    def live(self) -> bool:
+        """Whether real processes can be made to suffer it."""
+        match self.action:
+            case Slow() | Misbehave():
+                return False
+            case StepClock(_, by_s):
+                return by_s > 0  # a monotonic clock never goes back
+        return True
+
+    @property
+    def virtual(self) -> bool:
+        """Whether it can be had in virtual time.
+
+        There are neither connections nor a recorder nor a time of day, and the KRC's own faults are those of its wire.
+        """
+        match self.action:
+            case ImpairStream() | ReadNothing() | FillDisk() | SetWallClock():
+                return False
+            case Kill(Process.RECORDER) | Freeze(Process.RECORDER) | Impair(Link.KRC_SERVER, _):
+                return False
+            case StepClock(Process.SIM, _):
+                return False  # the gate counts cycles and reads no clock
+        return True
+
+    @property
+    def injectable(self) -> bool:
+        """Whether it can be injected into a cell that is up, through the panel."""
+        return isinstance(self.action, AskPanel)
+
+
+_NO_MORE_FAULTS = {"op": "fault"}
+_STRANGER = "127.0.0.9"
+"""Another address than the emulated KRC's."""
+
+
+_BETWEEN_PROCESSES = (Link.CONTROLLER_HLI, Link.HLI_SIM, Link.HLI_SERVER, Link.SIM_SERVER)
+
+
+def _wire(name: str, what: str, **faults: Any) -> Fault:
+    return Fault(name, what, AskPanel({"op": "fault", **faults}), _NO_MORE_FAULTS)
+
+
+def _streams() -> tuple[Fault, ...]:
+    kinds = (
+        ("stalled", "stands still, and then brings everything at once", StreamFaults(stalled=True)),
+        ("broken", "is broken and refused again and again", StreamFaults(cut=True)),
+    )
+    return tuple(
+        Fault(f"{link}-{kind}", f"the connection {link} {what}", ImpairStream(link, faults))
+        for link in _BETWEEN_PROCESSES
+        for kind, what, faults in kinds
+    )
+
+
+def _links() -> tuple[Fault, ...]:
+    kinds = (
+        ("cut", "carries nothing", LinkFaults(drop=1.0)),
+        ("lossy", "loses 30 %", LinkFaults(drop=0.3)),
+        ("delayed", "takes 30 ms, ± 20 ms", LinkFaults(delay_s=0.01, jitter_s=0.04)),
+        ("duplicating", "doubles half", LinkFaults(duplicate=0.5)),
+        ("reordering", "lets 30 % be overtaken", LinkFaults(reorder=0.3)),
+    )
+    return tuple(
+        Fault(f"{link}-{kind}", f"the wire {link} {what}", Impair(link, faults))
+        for link in _BETWEEN_PROCESSES
+        for kind, what, faults in kinds
+    )
+
+
+def _datagrams() -> tuple[Fault, ...]:
+    link = Link.KRC_SERVER
+    kinds = (
+        ("cut", "carries nothing", LinkFaults(drop=1.0)),
+        ("lossy", "loses 30 %", LinkFaults(drop=0.3)),
+        ("slow", "takes 2 ms each way", LinkFaults(delay_s=0.002)),
+        ("late", "takes 8 ms each way", LinkFaults(delay_s=0.008)),
+        ("jittery", "takes up to 12 ms each way", LinkFaults(jitter_s=0.012)),
+        ("duplicating", "doubles half", LinkFaults(duplicate=0.5)),
+        ("reordering", "lets 30 % be overtaken", LinkFaults(reorder=0.3)),
+        ("garbling", "garbles 30 %", LinkFaults(corrupt=0.3)),
+        ("truncating", "cuts the end off 30 %", LinkFaults(truncate=0.3)),
+        ("misspelling", "makes another digit of one in 30 %", LinkFaults(flip=0.3)),
+    )
+    return tuple(
+        Fault(f"{link}-{kind}", f"a relay on RSI's wire {what}", Impair(link, faults))
+        for kind, what, faults in kinds
+    )
+
+
+CATALOGUE: tuple[Fault, ...] = (
+    Fault("operator-stop", "somebody presses stop", PressStop()),
+    Fault("controller-dead", "kill -9 of the controller", Kill(Process.CONTROLLER)),
+    Fault("controller-frozen", "SIGSTOP of the controller", Freeze(Process.CONTROLLER)),
+    Fault("controller-late", "increments come 60 ms late", Slow(Process.CONTROLLER, 0.06)),
+    Fault("controller-stale", "increments come 200 ms late", Slow(Process.CONTROLLER, 0.2)),
+    Fault("controller-slow", "answers every fourth state", Misbehave(Misbehaviour.EVERY_FOURTH)),
+    Fault("controller-nan-flood", "20 increments of NaN a cycle", Misbehave(Misbehaviour.NAN_FLOOD)),
+    Fault("controller-leap", "asks for 1 rad a cycle", Misbehave(Misbehaviour.LEAP)),
+    Fault("hli-dead", "kill -9 of the HLI", Kill(Process.HLI)),
+    Fault("hli-frozen", "SIGSTOP of the HLI", Freeze(Process.HLI)),
+    Fault("hli-clock-forward", "the HLI's clock leaps 10 s ahead", StepClock(Process.HLI, 10.0)),
+    Fault("hli-clock-back", "the HLI's clock leaps 10 s back", StepClock(Process.HLI, -10.0)),
+    Fault(
+        "hli-begins-in-the-past",
+        "kill -9 of the HLI; the next one finds the time of day an hour back",
+        BeginInThePast(Process.HLI, -3600.0),
+    ),
+    Fault("sim-dead", "kill -9 of the SIM", Kill(Process.SIM)),
+    Fault("sim-frozen", "SIGSTOP of the SIM", Freeze(Process.SIM)),
+    Fault("sim-slow", "the SIM's answers come 18 ms late", Slow(Process.SIM, 0.018)),
+    Fault("sim-clock-forward", "the SIM's clock leaps 10 s ahead", StepClock(Process.SIM, 10.0)),
+    Fault("robot-server-dead", "kill -9 of the Robot Server", Kill(Process.ROBOT_SERVER)),
+    Fault("robot-server-frozen", "SIGSTOP of the Robot Server", Freeze(Process.ROBOT_SERVER)),
+    Fault(
+        "robot-server-clock-forward",
+        "the Robot Server's clock leaps 10 s ahead",
+        StepClock(Process.ROBOT_SERVER, 10.0),
+    ),
+    Fault(
+        "robot-server-clock-back",
+        "the Robot Server's clock leaps 10 s back",
+        StepClock(Process.ROBOT_SERVER, -10.0),
+    ),
+    Fault("wall-clock-forward", "the time of day leaps an hour ahead in every service", SetWallClock(3600.0)),
+    Fault("wall-clock-back", "the time of day leaps an hour back in every service", SetWallClock(-3600.0)),
+    Fault(
+        "wall-clock-drift", "the time of day runs 5 % fast in every service", SetWallClock(drift_ppm=50_000)
+    ),
+    Fault("clients-not-reading", "clients over TCP and zenoh stop reading", ReadNothing()),
+    Fault("recorder-dead", "kill -9 of the recorder", Kill(Process.RECORDER)),
+    Fault("recorder-frozen", "SIGSTOP of the recorder", Freeze(Process.RECORDER)),
+    Fault("recorder-disk-full", "the recorder's disk is full", FillDisk()),
+    *_links(),
+    *_streams(),
+    *_datagrams(),
+    _wire("krc-cut", "nothing passes between KRC and Robot Server", drop=1.0),
+    _wire("krc-telegrams-lost", "30 % of the KRC's telegrams are lost", link="to_pc", drop=0.3),
+    _wire("krc-replies-lost", "30 % of the replies to the KRC are lost", link="from_pc", drop=0.3),
+    _wire("krc-late", "telegrams and replies take 8 ms each way", delay_s=0.008),
+    _wire("krc-jitter", "telegrams and replies take up to 12 ms each way", jitter_s=0.012),
+    _wire("krc-duplicating", "half of all telegrams and replies come twice", duplicate=0.5),
+    _wire("krc-reordering", "30 % of all telegrams and replies are overtaken", reorder=0.3),
+    _wire("krc-garbled", "30 % of the KRC's telegrams are garbled", link="to_pc", corrupt=0.3),
+    _wire("krc-truncated", "30 % of the KRC's telegrams lose their end", link="to_pc", truncate=0.3),
+    _wire("krc-digits", "in 30 % of the KRC's telegrams one digit is another", link="to_pc", flip=0.3),
+    _wire("krc-replies-garbled", "30 % of the replies are garbled", link="from_pc", corrupt=0.3),
+    Fault("krc-hiccup", "the KRC is silent for 8 cycles", AskPanel({"op": "fault", "freeze_cycles": 8})),
+    Fault("krc-silent", "the KRC is silent for 40 cycles", AskPanel({"op": "fault", "freeze_cycles": 40})),
+    Fault("krc-ipoc-back", "the IPOC leaps 24 ms back", AskPanel({"op": "fault", "ipoc_shift_ms": -24})),
+    Fault("krc-ipoc-gap", "the IPOC leaps 240 ms ahead", AskPanel({"op": "fault", "ipoc_shift_ms": 240})),
+    _wire(
+        "krc-forged",
+        "a stranger sends a session far ahead, and the robot 1.4° off",
+        forge=[
+            {"address": _STRANGER, "ipoc_shift": 60_000},
+            {"address": _STRANGER, "offset_deg": 1.4},
+            {"address": _STRANGER, "ipoc_shift": 60_000, "offset_deg": 1.4, "programmed_too": True},
+        ],
+    ),
+    _wire(
+        "krc-second",
+        "a second KRC sends from another port, its robot 1.4° off",
+        forge=[{"ipoc_shift": 60_000, "offset_deg": 1.4, "programmed_too": True}],
+    ),
+    Fault("krc-oversized", "somebody sends datagrams longer than any telegram", Bombard.OVERSIZED),
+    Fault("krc-port-zero", "somebody sends telegrams from port 0", Bombard.PORT_ZERO),
+    Fault("krc-restarted", "the program on the KRC is started again", AskPanel({"op": "restart"})),
+    Fault("krc-stopped", "stop at the KRC's pendant", AskPanel({"op": "stop"})),
+    Fault("krc-drives-off", "the drives are switched off", AskPanel({"op": "drives", "on": False})),
+    Fault(
+        "krc-relative",
+        "the program is started again with RSI_ON(#RELATIVE)",
+        AskPanel({"op": "restart", "correction": "relative"}),
+        {"op": "restart", "correction": "absolute"},
+    ),
+)
+"""Every fault, from the operator's hand through the processes and wires to the robot's controller."""
+
+
+def fault_named(name: str) -> Fault:
+    """The row of this name.
+
+    Raises:
+        UnknownFaultError: naming the catalogue's.
+    """
+    for fault in CATALOGUE:
+        if fault.name == name:
+            return fault
+    known = ", ".join(fault.name for fault in CATALOGUE)
+    raise UnknownFaultError(f"no fault {name!r}; there are {known}")

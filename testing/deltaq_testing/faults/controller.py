@@ -1,0 +1,121 @@
+"""A controller in virtual time: a function that is asked for an increment, and what it says when it goes wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from deltaq_protocol.arrays import Array
+from deltaq_protocol.codec import InvalidMessageError, from_map
+from deltaq_protocol.messages import (
+    Increment,
+    LeaseAction,
+    LeaseReply,
+    LeaseRequest,
+    Message,
+    RobotState,
+    Verdict,
+)
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_testing.faults.actions import Misbehaviour
+from deltaq_testing.virtual_cell.clients import Say
+
+Decide = Callable[[RobotState], Array | Sequence[float] | None]
+"""The increment (n,) [rad or m] in answer to a state; None leaves the state unanswered."""
+
+_FLOOD = 20
+_LEAP_RAD = 1.0
+_RETRY_CYCLES = 8
+
+
+class VirtualController:
+    """Answers the states of one robot, and asks for its lease whenever it has none.
+
+    Args:
+        robot: its name.
+        decide: is asked for each increment.
+        send: puts what it says on the wire to the HLI.
+        client: its own name.
+        told: is shown all that the HLI says.
+
+    Attributes:
+        robot: its name.
+        token: of the lease; None without one.
+        misbehaviour: None while it behaves.
+    """
+
+    def __init__(
+        self,
+        robot: str,
+        decide: Decide,
+        send: Say,
+        client: str = "mover",
+        told: Callable[[Message], None] = lambda _: None,
+    ) -> None:
+        self.robot = robot
+        self.token: str | None = None
+        self.misbehaviour: Misbehaviour | None = None
+        self._decide, self._send, self._client = decide, send, client
+        self._told = told
+        self._seq = 0
+        self._asked_cycle = -_RETRY_CYCLES
+
+    def take(self, message: Message) -> None:
+        """A message of the HLI has come."""
+        self._told(message)
+        if isinstance(message, LeaseReply):
+            # one that was refused may answer a request that was overtaken by the one that was granted
+            self.token = message.lease if message.granted else self.token
+        elif isinstance(message, Verdict) and message.robot == self.robot:
+            if any(reason.code is ReasonCode.LEASE_NOT_HELD for reason in message.reasons):
+                self.token = None
+        elif isinstance(message, RobotState) and message.robot == self.robot:
+            self._on_state(message)
+
+    def _on_state(self, state: RobotState) -> None:
+        if self.token is None:
+            # a Robot Server that restarts counts its cycles from one
+            if abs(state.cycle - self._asked_cycle) >= _RETRY_CYCLES:
+                self._asked_cycle = state.cycle
+                self._send(LeaseRequest(robot=self.robot, action=LeaseAction.ACQUIRE, client=self._client))
+            return
+        dq = self._decide(state)
+        if dq is None:
+            return
+        for asked in misbehaved(self.misbehaviour, state.cycle, plain(dq)):
+            self._seq += 1
+            data = {"robot": self.robot, "seq": self._seq, "cycle": state.cycle, "dq": asked}
+            self._send(increment_of(data, self.token))
+
+
+def misbehaved(how: Misbehaviour | None, cycle: int, dq: Any) -> Iterator[Any]:
+    """What is sent in place of an increment (n,) [rad or m] in answer to a cycle."""
+    match how:
+        case Misbehaviour.EVERY_FOURTH if cycle % 4:
+            return
+        case Misbehaviour.NAN_FLOOD:
+            for _ in range(_FLOOD):
+                yield [float("nan")] * len(dq)
+        case Misbehaviour.LEAP:
+            yield (np.sign(dq) * _LEAP_RAD).tolist()
+        case _:
+            yield dq
+
+
+def increment_of(data: dict[str, Any], token: str | None) -> Increment | InvalidMessageError:
+    """The increment that was said, or why it is none, as the HLI finds it; `token` is that of the lease."""
+    try:
+        return from_map(Increment, {**data, "type": "increment", "lease": token})
+    except InvalidMessageError as error:
+        return error
+
+
+def plain(dq: Any) -> Any:
+    """What a controller returned, as it goes over a wire: the HLI judges whether that is an increment."""
+    if isinstance(dq, np.ndarray):
+        return dq.tolist()
+    return (
+        [float(one) if isinstance(one, np.number) else one for one in dq] if isinstance(dq, Iterable) else dq
+    )

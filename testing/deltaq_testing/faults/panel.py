@@ -1,0 +1,119 @@
+"""What is asked of an emulated controller's panel: faults, and the operator's way back to a running program."""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Mapping
+from typing import Any
+
+from deltaq_cell.description import CellDescription, RsiDescription
+from deltaq_emulator.catalogue import TEXTS, Code
+from deltaq_emulator.states import KrcState
+from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
+from deltaq_testing.faults.catalogue import UnknownFaultError
+
+_TIMEOUT_S = 5.0
+"""Longer than anything is awaited."""
+_MAX_ANSWER_BYTES = 65_535
+
+_WAYS_BACK: dict[str, tuple[dict[str, Any], ...]] = {
+    KrcState.DRIVES_OFF: ({"op": "drives", "on": True}, {"op": "restart"}),
+    KrcState.STOPPED: ({"op": "acknowledge"}, {"op": "restart"}),
+    KrcState.READY: ({"op": "restart"},),
+    KrcState.RSI_ON: ({"op": "confirm"},),
+    KrcState.RSI_RUNNING: (),
+    KrcState.MOTION_ENDED: ({"op": "restart"},),
+}
+
+
+_PROTESTS = tuple(
+    TEXTS[code].partition("{")[0]
+    for code in (
+        Code.CORRECTION_MONITOR,
+        Code.SOFTWARE_LIMIT,
+        Code.GEAR_TORQUE,
+        Code.KINETIC_ENERGY,
+        Code.T1_SPEED,
+    )
+)
+"""How messages begin with which a controller refuses a motion that it was sent."""
+
+
+class PanelError(DeltaqError):
+    """The panel refused a request."""
+
+
+def recovery(state: str) -> tuple[dict[str, Any], ...]:
+    """What an operator does at a controller in `state` until its program runs again."""
+    return _WAYS_BACK[state]
+
+
+def pendant_message(message: str | None) -> str | None:
+    """The message on the pendant, if the controller refuses with it what it was sent."""
+    return message if message is not None and any(text in message for text in _PROTESTS) else None
+
+
+def describe(requests: tuple[dict[str, Any], ...]) -> str:
+    """These requests in words."""
+    names = ("drives on" if request["op"] == "drives" else str(request["op"]) for request in requests)
+    return "KRC: " + " and ".join(names)
+
+
+class PanelClient:
+    """The panel of a robot's emulated controller over UDP; a context manager.
+
+    Args:
+        cell: description of the running cell.
+        robot: its name.
+
+    Raises:
+        UnknownFaultError: if the robot has no panel.
+    """
+
+    def __init__(self, cell: CellDescription, robot: str) -> None:
+        driver = cell.robots[robot].driver
+        if not isinstance(driver, RsiDescription) or driver.control_port is None:
+            raise UnknownFaultError(
+                f"robots.{robot} has no emulated controller with a panel; give its driver a `control_port`, or "
+                "name another robot"
+            )
+        self._robot = robot
+        self._address = (driver.address, driver.control_port)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.settimeout(_TIMEOUT_S)
+
+    def __enter__(self) -> PanelClient:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._socket.close()
+
+    def ask(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Send a request and return the panel's status after it.
+
+        Raises:
+            ServiceUnreachableError: if no panel answers.
+            PanelError: if it refuses.
+        """
+        self._socket.sendto(json.dumps(request).encode(), self._address)
+        try:
+            answer = self._socket.recv(_MAX_ANSWER_BYTES)
+        except OSError as error:
+            host, port = self._address
+            raise ServiceUnreachableError(
+                f"no emulated controller of {self._robot} at {host}:{port}; is the cell up (`deltaq up`)?"
+            ) from error
+        return checked(answer)
+
+
+def checked(answer: bytes) -> dict[str, Any]:
+    """The status that a panel answered with.
+
+    Raises:
+        PanelError: if it refused.
+    """
+    status: dict[str, Any] = json.loads(answer)
+    if not status["ok"]:
+        raise PanelError(f"the emulated controller refused: {status['error']}")
+    return status

@@ -1,0 +1,258 @@
+"""A controller that answers each state as it comes and waits for no verdict, in virtual time, with the real cores."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from answering_client import AnsweringClient
+from delayed_wire import DelayedWire
+
+from deltaq_controllers.limits import IncrementLimits
+from deltaq_protocol.arrays import Array
+from deltaq_protocol.guarded import Admission
+from deltaq_protocol.in_flight import Ahead
+from deltaq_protocol.messages import Outcome, Phase, Verdict
+from deltaq_testing.virtual_cell.cell import VirtualCell
+from deltaq_testing.virtual_cell.clients import Connection
+from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
+from deltaq_testing.virtual_cell.parts import Link, Process
+
+pytestmark = [pytest.mark.long, pytest.mark.by_day(1)]
+
+CYCLES = 150
+SLOWLY = 1e-3
+"""Largest increment that is asked for, well below what the limits allow [rad]."""
+GATE_S = 2e-3
+"""From the gate to the Robot Server."""
+
+
+class Walk:
+    """Asks for increments that change a little from one to the next, so that any two differ."""
+
+    def __init__(self, seed: int, most: float = SLOWLY) -> None:
+        self._drawn, self._most = np.random.default_rng(seed), most
+        self._dq = np.zeros(6)
+
+    def __call__(self, _: Ahead) -> Array:
+        self._dq = np.clip(self._dq + 1e-4 * self._drawn.uniform(-1, 1, 6), -self._most, self._most)
+        return self._dq
+
+
+class Driven:
+    """FR in virtual time, driven by an `AnsweringClient`.
+
+    Attributes:
+        sent: by cycle, the setpoint (6,) that the Robot Server sent [rad].
+        fresh: cycles in which it took an admission.
+    """
+
+    def __init__(
+        self,
+        loaded: LoadedCell,
+        increment: Callable[[Ahead], Array],
+        up_s: Callable[[], float],
+        waits: bool = False,
+    ) -> None:
+        self.cell = VirtualCell(loaded)
+        self.cell.run_until_ready()
+        begin = partial(AnsweringClient, robot="fr", increment=increment, waits=waits)
+        self.connection: Connection = self.cell.connect(begin, up=DelayedWire(up_s))
+        self.cell.plug(Link.SIM_SERVER, Process.ROBOT_SERVER, DelayedWire(lambda: GATE_S), ["fr"], Admission)
+        self.sent: dict[int, Array] = {}
+        self.fresh: set[int] = set()
+        self.acquire()
+        self.client.answers = True
+
+    @property
+    def client(self) -> AnsweringClient:
+        client = self.connection.core
+        assert isinstance(client, AnsweringClient)
+        return client
+
+    def acquire(self) -> None:
+        self.client.acquire()
+        for _ in range(10):
+            if self.client.token is not None:
+                return
+            self.run(1)
+        raise AssertionError("no lease")
+
+    def run(self, cycles: int) -> None:
+        server = self.cell.arms["fr"].server
+        for _ in range(cycles):
+            taken = server.counters["admissions"]
+            self.cell.cycle()
+            cycle = server.state.cycle
+            self.sent[cycle] = np.array(server.state.q_cmd)
+            if server.counters["admissions"] > taken:
+                self.fresh.add(cycle)
+
+    def off(self, since: int = 0) -> dict[int, float]:
+        """By cycle how far its setpoint was from where the controller reckoned it to be [rad]."""
+        return {
+            cycle: float(np.abs(self.sent[cycle] - q_cmd).max())
+            for cycle, q_cmd in self.client.expected.items()
+            if cycle in self.sent and cycle >= since
+        }
+
+    @property
+    def cycle(self) -> int:
+        return self.cell.arms["fr"].server.state.cycle
+
+    @property
+    def braked(self) -> int:
+        """Cycles without an admission after the first with one."""
+        return sum(cycle not in self.fresh for cycle in self.sent if cycle > min(self.fresh))
+
+
+def jitter(seed: int, median_s: float, sigma: float) -> Callable[[], float]:
+    drawn = random.Random(seed)
+    return lambda: median_s * math.exp(sigma * drawn.gauss(0, 1))
+
+
+@pytest.fixture(scope="module", params=[2, 1, 3])
+def ahead(request: pytest.FixtureRequest) -> int:
+    return int(request.param)
+
+
+@pytest.fixture(scope="module")
+def lab(ahead: int, tmp_path_factory: pytest.TempPathFactory) -> LoadedCell:
+    file: Path = tmp_path_factory.mktemp("cell") / "ahead.yaml"
+    file.write_text(f"extends: lab.yaml\ncell: ahead\ngate: {{lookahead_cycles: {ahead}}}\n")
+    return LoadedCell.load(file)
+
+
+# --- what goes wrong -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_where_verdicts_are_lost_each_increment_is_reckoned_with_once_all_the_same(
+    lab: LoadedCell, seed: int
+) -> None:
+    driven, drawn = Driven(lab, Walk(seed), lambda: 5e-3), random.Random(seed)
+    driven.client.hears = lambda _: drawn.random() > 0.2
+    driven.run(CYCLES)
+    off = driven.off()
+    assert driven.client.counted["given up"] > 10
+    assert len(off) > CYCLES - 10
+    assert max(off.values()) < 1e-12, off
+
+
+def test_where_verdicts_come_in_another_order_the_reckoning_is_right_again_with_the_next_state(
+    lab: LoadedCell,
+) -> None:
+    driven, kept = Driven(lab, Walk(3), lambda: 5e-3), deque[Verdict]()
+
+    def swaps(verdict: Verdict) -> bool:
+        kept.append(verdict)
+        if len(kept) == 2:
+            second, first = kept.pop(), kept.pop()
+            driven.client.tell(second)
+            driven.client.tell(first)
+        return False
+
+    driven.client.hears = swaps
+    driven.run(CYCLES)
+    off = driven.off()
+    assert "given up" not in driven.client.counted
+    assert max(off.values()) < 1e-12, off
+
+
+def test_what_was_clipped_is_asked_for_again_and_not_twice(lab: LoadedCell) -> None:
+    """To a place faster than is allowed: the gate clips, and the robot still stops where it should."""
+    goal, limits = 0.4, IncrementLimits.of(lab.model.robots["fr"], lab.model.description.cycle_s)
+
+    def to_goal(ahead: Ahead) -> Array:
+        left = goal - ahead.q_cmd[0]
+        speed = min(2 * limits.max_dq[0], math.sqrt(limits.max_ddq[0] * abs(left)), 0.2 * abs(left))
+        return np.array([math.copysign(speed, left), *np.zeros(5)])
+
+    driven = Driven(lab, to_goal, lambda: 13e-3)
+    driven.run(CYCLES)
+    assert driven.client.counted[Outcome.SCALED.value] > 3
+    assert driven.sent[driven.cycle][0] == pytest.approx(goal, abs=1e-4)
+    assert max(q[0] for q in driven.sent.values()) < goal + 1e-3
+    assert max(driven.off(driven.cycle - 20).values()) < 1e-9
+
+
+def test_after_a_hold_and_a_reset_nothing_is_reckoned_with_that_was_sent_before(lab: LoadedCell) -> None:
+    driven = Driven(lab, Walk(4), lambda: 5e-3)
+    driven.run(40)
+    driven.cell.stop()
+    driven.run(10)
+    assert driven.cell.states["fr"].phase is Phase.HELD
+    driven.cell.reset("fr")
+    while driven.cell.states["fr"].phase is Phase.HELD:
+        driven.run(1)
+    reset = driven.cycle
+    driven.run(40)
+    assert driven.client.counted[Outcome.REFUSED.value] >= 5
+    off = driven.off(reset + 1)
+    assert len(off) > 30
+    assert max(off.values()) < 1e-12, off
+
+
+def test_where_the_hli_dies_and_comes_again_driving_goes_on_with_another_lease(lab: LoadedCell) -> None:
+    driven = Driven(lab, Walk(5), lambda: 5e-3)
+    driven.run(40)
+    hli = driven.cell.process(Process.HLI, "")
+    hli.kill()
+    driven.run(5)
+    assert driven.cell.states["fr"].phase is not None
+    hli.start()
+    driven.run(40)  # it has no lease: each of its increments is refused
+    driven.acquire()
+    began = driven.cycle
+    driven.run(40)
+    off = driven.off(began + 3)
+    assert len(off) > 30
+    assert max(off.values()) < 1e-12, off
+
+
+def test_a_controller_without_its_lease_reckons_with_none_of_its_increments(lab: LoadedCell) -> None:
+    driven = Driven(lab, Walk(6), lambda: 5e-3)
+    driven.run(30)
+    driven.client.token = "of somebody else"
+    driven.run(40)
+    assert driven.client.counted[Outcome.REFUSED.value] > 20
+    still = driven.sent[driven.cycle]
+    np.testing.assert_array_equal(driven.client.expected[max(driven.client.expected)], still)
+
+
+def test_a_controller_that_got_no_processor_time_makes_up_for_what_it_missed(
+    lab: LoadedCell, ahead: int
+) -> None:
+    driven = Driven(lab, Walk(7), lambda: 3e-3)
+    driven.run(20)
+    for _ in range(5):
+        driven.client.answers = False
+        driven.run(ahead - 1)
+        driven.client.answers = True
+        driven.run(10)
+    assert driven.braked == 0
+    assert max(driven.off().values()) < 1e-12
+    assert driven.cell.arms["fr"].server.counters["admission_unchained"] == 0
+
+
+# --- what it is for ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_answers_that_take_longer_than_a_cycle_cost_nothing_unless_verdicts_are_waited_for(
+    lab: LoadedCell, seed: int
+) -> None:
+    waited, answered = (
+        Driven(lab, Walk(seed), jitter(seed, 13e-3, 0.1), waits=waits) for waits in (True, False)
+    )
+    for driven in (waited, answered):
+        driven.run(CYCLES)
+    assert waited.braked > 8
+    assert answered.braked <= 2, answered.braked
+    assert max(answered.off().values()) < 1e-12

@@ -1,0 +1,71 @@
+"""Faults over real processes, zenoh and UDP: the table's live half, and a fault in a cell that is up."""
+
+import json
+import subprocess
+
+import pytest
+from commands import PROGRAM
+
+from deltaq_deploy.launch.private_cell import write_private_cell
+from deltaq_testing.faults.catalogue import CATALOGUE, fault_named
+from deltaq_testing.faults.inject import inject
+from deltaq_testing.faults.table import run_table
+
+pytestmark = pytest.mark.live
+
+
+@pytest.mark.nightly
+def test_a_frozen_gate_and_a_dead_robot_server_are_survived_by_real_processes(tmp_path):
+    file = write_private_cell(tmp_path)
+    faults = [fault_named("robot-server-dead"), fault_named("sim-frozen")]
+    dead, frozen = run_table(file, "fr", faults=faults, live=True).rows
+    assert (frozen.good, frozen.reason, frozen.recovery) == (True, "gate_lost", "reset")
+    assert frozen.motion.rest_after_s < 0.3
+    assert (dead.good, dead.phase) == (True, "offline")
+    assert dead.motion.travel_rad < 0.1
+    assert dead.motion.rest_after_s > 0.03  # along its brake, not at once
+    assert dead.recovery == "restart of the robot-server, KRC: restart, reset"
+
+
+@pytest.mark.nightly
+def test_a_time_of_day_that_is_set_back_in_every_service_brakes_nobody(tmp_path):
+    (row,) = run_table(
+        write_private_cell(tmp_path), "fr", faults=[fault_named("wall-clock-back")], live=True
+    ).rows
+    assert row.good
+    assert (row.reason, row.recovery) == (None, "by itself")
+
+
+@pytest.mark.nightly
+def test_an_hli_whose_clock_leaps_has_the_robot_held_though_its_sessions_broke_as_it_said_so(tmp_path):
+    faults = [fault_named("hli-clock-forward")]
+    (row,) = run_table(write_private_cell(tmp_path), "fr", faults=faults, live=True).rows
+    assert (row.good, row.phase, row.reason) == (True, "held", "controller_lost")
+    assert row.recovery == "reset"
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(0)
+def test_no_fault_of_a_real_process_passes_a_limit_or_touches(tmp_path):
+    table = run_table(write_private_cell(tmp_path), "fr", faults=CATALOGUE, live=True)
+    assert [row.fault for row in table.rows if not row.good] == []
+
+
+def test_a_fault_is_injected_into_a_cell_that_is_up_and_lifted_again(ready_stack):
+    command = [
+        PROGRAM,
+        "fault",
+        "inject",
+        "krc-cut",
+        "--robot",
+        "fr",
+        "--cell",
+        str(ready_stack.file),
+        "--json",
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert (found["phase"], found["reason"]) == ("held", "krc_lost")
+    again = inject(fault_named("krc-hiccup"), ready_stack.cell, "fr", 0.0)
+    assert again.krc_state == "RSI running"  # nothing is cut any more

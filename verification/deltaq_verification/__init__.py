@@ -1,1 +1,0 @@
-"""What verifies: the virtual cell, faults, impaired wires, the model checker, attacks and replay."""
