@@ -15,9 +15,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from deltaq_controllers.clock_reading import ClockReading
 from deltaq_controllers.interface import RobotView, View
-from deltaq_controllers.robot_clocks import RobotClocks
+from deltaq_controllers.robot_clocks import ClockReading, RobotClocks
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell
 from deltaq_protocol.errors import ServiceUnreachableError

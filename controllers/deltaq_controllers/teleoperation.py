@@ -4,26 +4,207 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
-from typing import Any
+from functools import partial
+from types import TracebackType
+from typing import Any, Self
 
 import numpy as np
 
+from deltaq_cell.robot import RobotModel
+from deltaq_controllers.advisor.process import AdvisorProcess
 from deltaq_controllers.answers import Answers, lease
-from deltaq_controllers.live import control_loop
+from deltaq_controllers.criteria.postures import RobotData
+from deltaq_controllers.criteria.table import check_known
+from deltaq_controllers.live import cell_model, control_loop, model_of, robot_models, where_others_are
+from deltaq_controllers.modes.advisor import AdvisorMode, tracker_of
+from deltaq_controllers.modes.hand_modes import CoupledMode, weighed
 from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.motion import Grip, ModeName, OperatorCommand
+from deltaq_controllers.modes.motion import Frame, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.practice import practise
-from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_controllers.modes.teleoperator import MODES, Teleoperator
 from deltaq_controllers.operator_input.interface import OperatorInput
-from deltaq_controllers.signals import SignalLog, Signals
 from deltaq_controllers.statistics import ControlStatistics
+from deltaq_controllers.surroundings.surroundings import RobotSurroundings
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell
-from deltaq_protocol.errors import RefusedError
-from deltaq_protocol.messages import Phase
+from deltaq_protocol.errors import DeltaqError, RefusedError
+from deltaq_protocol.leased_robot import LeasedRobot
+from deltaq_protocol.messages import IoReply, Phase
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
+
+# The teleoperator of a robot of a running cell, with all modes that the robot can be driven in.
+
+
+def teleoperator_for(
+    running: Cell,
+    robot: str,
+    stack: ExitStack,
+    mode: ModeName = ModeName.JOINT,
+    frame: Frame = Frame.WORLD,
+    weights: Mapping[str, float] | None = None,
+    jerk_time_s: float = 0.0,
+    trade_off: tuple[str, str] | None = None,
+    hands_may_leave: bool | None = False,
+) -> Teleoperator:
+    """A teleoperator as `deltaq drive` uses it; no mode but the first is made yet.
+
+    Args:
+        running: connection to the cell.
+        robot: name of the robot.
+        stack: ends what the modes have going on.
+        mode: to begin with.
+        frame: axes in which hands are moved.
+        weights: of the criteria of `coupled` and `advisor`; their own if not given.
+        jerk_time_s: time in which a joint's acceleration builds up to its limit; 0 sets no limit to the jerk [s].
+        trade_off: names of two criteria on whose front the advisor's options are; None: they are minima.
+        hands_may_leave: whether hands may leave their place on the way to an option of the advisor, and come back;
+            None: where nothing can be advised otherwise, for want of a joint to spare.
+
+    Raises:
+        ControllerError: the robot is unknown, or cannot be driven in that mode.
+        CriterionError: an unknown criterion, or a weight that is negative or not finite.
+    """
+    for name in trade_off or ():
+        check_known(name)
+    description = running.description
+    model = model_of(robot_models(description), robot)
+
+    def advisor_mode(robot: RobotModel) -> AdvisorMode:
+        others = where_others_are(running, robot.name)
+        tracker = tracker_of(robot, hands_may_leave in (True, None))
+        advisor = AdvisorProcess(description, tracker, others, weights)
+        mode = AdvisorMode(robot, description.cycle_s, stack.enter_context(advisor))
+        mode.trade_off = trade_off
+        mode.hands_may_leave = not len(tracker.base) if hands_may_leave is None else hands_may_leave
+        return mode
+
+    modes = {**MODES, ModeName.ADVISOR: advisor_mode}
+    cell = cell_model(description)
+    if weights is not None:
+        modes[ModeName.COUPLED] = partial(CoupledMode, criteria=(weighed(RobotData(cell, robot), weights),))
+    around = RobotSurroundings(cell, robot)
+    return Teleoperator(model, description.cycle_s, mode, frame, modes, around, jerk_time_s)
+
+
+# Digital outputs of a robot as an operator switches them while it is driven, and its inputs: the shell around `io`.
+
+
+LOOK_S = 0.5
+"""Time after which outputs and inputs are read again [s]."""
+
+
+@dataclass(frozen=True)
+class Switched:
+    """An output that was switched, or was to be.
+
+    Attributes:
+        output: its name.
+        is_on: how it was to be.
+        error: why it was not; empty if it was.
+    """
+
+    output: str
+    is_on: bool
+    error: str = ""
+
+    def summary(self) -> dict[str, Any]:
+        """As a JSON object."""
+        return {"output": self.output, "on": self.is_on, "error": self.error or None}
+
+
+@dataclass
+class SignalLog:
+    """The newest digital signals of a robot.
+
+    Attributes:
+        outputs, inputs: as last read, by name.
+        switched: what was switched so far, in its order.
+    """
+
+    outputs: dict[str, bool] = field(default_factory=dict)
+    inputs: dict[str, bool] = field(default_factory=dict)
+    switched: list[Switched] = field(default_factory=list)
+
+    @property
+    def failed(self) -> list[Switched]:
+        """Outputs that could not be switched."""
+        return [each for each in self.switched if each.error]
+
+    @property
+    def status(self) -> str:
+        """Outputs and inputs in a line, for people."""
+        told = {**self.outputs, **self.inputs}
+        return ", ".join(f"{name} {'on' if is_on else 'off'}" for name, is_on in told.items())
+
+
+class Signals:
+    """Switches outputs one after the other beside the control loop, and reads them again from time to time.
+
+    A context manager for as long as the lease is held; what was asked for until its end is still switched.
+
+    Args:
+        leased: the robot.
+        names: of its outputs and inputs; without any there is nothing to be read.
+        log: what to keep account in.
+    """
+
+    def __init__(self, leased: LeasedRobot, names: tuple[str, ...], log: SignalLog) -> None:
+        self._leased, self._has_any, self._log = leased, bool(names), log
+        self._asked: dict[str, bool] = {}
+        self._due: asyncio.Queue[Mapping[str, bool] | None] = asyncio.Queue()
+        self._task: asyncio.Task[None] | None = None
+
+    def ask(self, outputs: Mapping[str, bool]) -> None:
+        """Have outputs switched; a command that lasts for many cycles counts once."""
+        new = {name: is_on for name, is_on in outputs.items() if self._asked.get(name) is not is_on}
+        if new:
+            self._asked |= new
+            self._due.put_nowait(new)
+
+    async def __aenter__(self) -> Self:
+        if self._has_any:
+            self._due.put_nowait({})
+            self._task = asyncio.create_task(self._serve())
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Switch what is still due, unless the drive broke off."""
+        if self._task is None:
+            return
+        if error is None:
+            self._due.put_nowait(None)
+            await self._task
+        else:
+            self._task.cancel()
+            await asyncio.gather(self._task, return_exceptions=True)
+
+    async def _serve(self) -> None:
+        while (outputs := await self._next()) is not None:
+            await self._switch(outputs)
+
+    async def _next(self) -> Mapping[str, bool] | None:
+        with suppress(TimeoutError):
+            async with asyncio.timeout(LOOK_S):
+                return await self._due.get()
+        return {}
+
+    async def _switch(self, outputs: Mapping[str, bool]) -> None:
+        """Set outputs, or read all of them; an error ends no drive, and the same can be asked for again."""
+        told = ""
+        try:
+            reply: IoReply = await self._leased.io(outputs)
+        except DeltaqError as error:
+            told = str(error)
+            for name in outputs:
+                self._asked.pop(name, None)
+        else:
+            self._log.outputs, self._log.inputs = dict(reply.outputs), dict(reply.inputs)
+        self._log.switched += [Switched(name, is_on, told) for name, is_on in outputs.items()]
 
 
 @dataclass

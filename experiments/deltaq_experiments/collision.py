@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.camera.controllers import FocusController
 from deltaq_controllers.camera.scene import Scene
-from deltaq_controllers.held_back import HeldBack
-from deltaq_controllers.interface import Controller, RobotView, View
+from deltaq_controllers.interface import Controller, HeldBack, RobotView, View
 from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.leader.attacking import TARGETS, AttackingLeader, HomingStick, staging_box
 from deltaq_controllers.leader.scripted import ScriptedLeader

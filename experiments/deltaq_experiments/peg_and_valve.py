@@ -17,9 +17,9 @@ from pydantic import BaseModel, ConfigDict
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.advisor.synchronous import SynchronousAdvisor
+from deltaq_controllers.advisor.session import SynchronousAdvisor
 from deltaq_controllers.interface import ControllerError, RobotView, View
-from deltaq_controllers.inverse.redundant import first_redundant
+from deltaq_controllers.inverse.tracking import first_redundant
 from deltaq_controllers.live import model_of
 from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.motion import HAND_AXES, ModeName, OperatorCommand

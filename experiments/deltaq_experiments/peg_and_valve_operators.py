@@ -11,8 +11,8 @@ import pinocchio as pin
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.modes.advisor import AdvisorMode
+from deltaq_controllers.modes.hand_modes import travel_gradient
 from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.joint_travel import travel_gradient
 from deltaq_controllers.modes.motion import HAND_AXES, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_protocol.arrays import Array

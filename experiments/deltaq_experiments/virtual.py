@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from deltaq_controllers.held_back import HeldBack
-from deltaq_controllers.interface import Controller, RobotView, View
+from deltaq_controllers.interface import Controller, HeldBack, RobotView, View
 from deltaq_experiments.options import Options
 from deltaq_experiments.scene import added_delay_cycles, scene_of
 from deltaq_experiments.trace import Trace

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deltaq_controllers.advisor.advisor import Option, Progress
-from deltaq_controllers.advisor.answered import Answered
+from deltaq_controllers.advisor.session import Answered
 from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.inverse.tracking import ConstraintTracker
 from deltaq_controllers.modes.advisor import AdvisorMode

@@ -14,13 +14,12 @@ import pinocchio as pin
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.camera import FOLLOWS
-from deltaq_controllers.live_teleoperator import teleoperator_for
 from deltaq_controllers.modes.motion import HAND_AXES, ModeName, OperatorCommand
 from deltaq_controllers.operated.__main__ import drive_by_lines
 from deltaq_controllers.operator_input.interface import OperatorInput
 from deltaq_controllers.operator_input.master import Master, looking_at
 from deltaq_controllers.statistics import ControlStatistics
-from deltaq_controllers.teleoperation import teleoperate
+from deltaq_controllers.teleoperation import teleoperate, teleoperator_for
 from deltaq_protocol.driving import DriverMessage
 
 if TYPE_CHECKING:

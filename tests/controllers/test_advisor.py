@@ -11,16 +11,27 @@ import pytest
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.advisor.advisor import NOT_LOOKED_FOR, Option, Progress, advise
-from deltaq_controllers.advisor.descent import descend, reduced_gradient
-from deltaq_controllers.advisor.exact import ExactClearance
-from deltaq_controllers.advisor.methods import METHODS, feasible
-from deltaq_controllers.advisor.motion_validator import FINE, LEAP, LIMIT_SHARE, MotionValidator
-from deltaq_controllers.advisor.path_planner import NoPathError, PathPlanner
+from deltaq_controllers.advisor.exact import (
+    FINE,
+    LEAP,
+    LIMIT_SHARE,
+    ExactClearance,
+    HandsKept,
+    HandsMoved,
+    MotionValidator,
+)
+from deltaq_controllers.advisor.path_planner import NoPathError, PathPlanner, Tree
 from deltaq_controllers.advisor.problem import AdvisorError, AdvisorProblem
-from deltaq_controllers.advisor.search import DISTINCT, Pool, search
-from deltaq_controllers.advisor.space import HandsKept, HandsMoved
-from deltaq_controllers.advisor.trees import Tree
-from deltaq_controllers.criteria.normalised import CriterionError
+from deltaq_controllers.advisor.search import (
+    DISTINCT,
+    METHODS,
+    Pool,
+    descend,
+    feasible,
+    reduced_gradient,
+    search,
+)
+from deltaq_controllers.criteria.table import CriterionError
 from deltaq_controllers.inverse.tracking import ConstraintTracker
 from deltaq_protocol.arrays import Array
 from studies.advised_starts import CELLS, starts

@@ -11,12 +11,9 @@ from driving import PlainDrive, model
 from test_advisor_mode import go_to
 
 from deltaq_controllers.advisor.advisor import Option, Progress
-from deltaq_controllers.advisor.answered import Answered
-from deltaq_controllers.advisor.near_home import near_home
-from deltaq_controllers.advisor.session import AdvisorSession
-from deltaq_controllers.advisor.synchronous import SynchronousAdvisor
+from deltaq_controllers.advisor.session import AdvisorSession, Answered, SynchronousAdvisor, near_home
 from deltaq_controllers.modes.advisor import tracker_of
-from deltaq_controllers.modes.limitation import Limit
+from deltaq_controllers.modes.interface import Limit
 from deltaq_controllers.modes.motion import Grip, ModeName, OperatorCommand
 
 IN_PLACE_M = 1e-3

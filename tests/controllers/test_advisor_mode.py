@@ -11,7 +11,7 @@ from deltaq_controllers.advisor.advisor import Progress
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.inverse.tracking import ConstraintTracker
 from deltaq_controllers.modes.advisor import NOTHING_FOUND
-from deltaq_controllers.modes.limitation import Limit
+from deltaq_controllers.modes.interface import Limit
 from deltaq_controllers.modes.motion import ModeName, OperatorCommand
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Outcome

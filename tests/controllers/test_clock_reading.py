@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from told import told_state, told_status
 
-from deltaq_controllers.clock_reading import ClockReading
+from deltaq_controllers.robot_clocks import ClockReading
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_protocol.messages import RobotState, Status
 
@@ -70,7 +70,7 @@ async def test_clocks_are_read_again_after_a_while_and_an_answer_that_is_missing
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     now = SimpleNamespace(s=100.0)
-    monkeypatch.setattr("deltaq_controllers.clock_reading.time", SimpleNamespace(monotonic=lambda: now.s))
+    monkeypatch.setattr("deltaq_controllers.robot_clocks.time", SimpleNamespace(monotonic=lambda: now.s))
     cell = BusyCell(unanswered=1, heard=("fr",))
     reading = reading_of(cell)
 

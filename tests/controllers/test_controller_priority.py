@@ -9,7 +9,7 @@ import threading
 
 import pytest
 
-from deltaq_controllers.real_time import GREED_S, ahead_of_ordinary_programs
+from deltaq_controllers.live import GREED_S, ahead_of_ordinary_programs
 from deltaq_protocol.real_time import SchedulingPriority
 
 

@@ -12,9 +12,8 @@ import pytest
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.criteria import BY_NAME, TABLE, Category, Criterion, Normalised, Postures, RobotData
-from deltaq_controllers.criteria.near_bodies import FAR_M, SOFT_M, PairKind
-from deltaq_controllers.criteria.normalised import CriterionError, cost, references
-from deltaq_controllers.criteria.screen import least_gaps
+from deltaq_controllers.criteria.near_bodies import FAR_M, SOFT_M, PairKind, least_gaps
+from deltaq_controllers.criteria.table import CriterionError, cost, references
 
 CELLS = {"dawm": CellModel.load("dawm"), "gr": CellModel.load("lab")}
 DATA = {

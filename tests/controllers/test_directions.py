@@ -17,7 +17,7 @@ from driving import CYCLE_S, PlainDrive, StackDrive, model
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.interface import ControllerError
-from deltaq_controllers.modes.limitation import Limit
+from deltaq_controllers.modes.interface import Limit
 from deltaq_controllers.modes.motion import ModeName
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_protocol.messages import Outcome

@@ -18,9 +18,8 @@ from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.motion import Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
-from deltaq_controllers.operator_input.dead_zone import DEAD_ZONE
-from deltaq_controllers.operator_input.gamepad import Gamepad
-from deltaq_controllers.operator_input.pad_device import SETTLE_S, PadButton, StickAxis, Trigger
+from deltaq_controllers.operator_input.gamepad import SETTLE_S, Gamepad, PadButton, StickAxis, Trigger
+from deltaq_controllers.operator_input.interface import DEAD_ZONE
 from deltaq_controllers.operator_input.view_distance import AskedViewDistance
 from deltaq_controllers.statistics import ControlStatistics
 from deltaq_controllers.teleoperation import teleoperate

@@ -9,8 +9,7 @@ import seven_axes
 from driving import model
 
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.modes.hand_kinematics import displacement, turned
-from deltaq_controllers.modes.hands import Hands
+from deltaq_controllers.modes.hands import Hands, displacement, turned
 
 ROUNDING = 1e-12
 

@@ -11,8 +11,7 @@ import pytest
 from driving import CYCLE_S, PlainDrive
 
 from deltaq_controllers.modes.motion import ModeName
-from deltaq_controllers.operator_input.held_key import FIRST_REPEAT_S, HOLD_S, TAP_S, HeldKey
-from deltaq_controllers.operator_input.keyboard import Keyboard
+from deltaq_controllers.operator_input.keyboard import FIRST_REPEAT_S, HOLD_S, TAP_S, HeldKey, Keyboard
 
 SPEED_M_S = 0.1
 

@@ -13,8 +13,7 @@ from test_operator_input import Terminal
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import ControllerError
-from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.held_object import HeldObject
+from deltaq_controllers.modes.hands import Hands, HeldObject
 from deltaq_controllers.modes.motion import Frame, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.script import Script

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.limits import IncrementLimits
-from deltaq_controllers.modes.increment_bounds import admits
+from deltaq_controllers.modes.programme import admits
 from deltaq_protocol.brake import brake_cycles, brake_travel
 
 ROBOTS = list(lab().robots.values())

@@ -15,8 +15,16 @@ from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.motion import Frame, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.interface import OperatorInput
-from deltaq_controllers.operator_input.led_pose import JUMP_M, SLACK_M, LedPose, PlacedTool
-from deltaq_controllers.operator_input.master import MOST_M_S, REST_S, STALE_S, Master
+from deltaq_controllers.operator_input.master import (
+    JUMP_M,
+    MOST_M_S,
+    REST_S,
+    SLACK_M,
+    STALE_S,
+    LedPose,
+    Master,
+    PlacedTool,
+)
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Outcome
 from deltaq_testing.virtual_cell.cell import VirtualCell

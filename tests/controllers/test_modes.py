@@ -10,14 +10,13 @@ from driving import CYCLE_S, PlainDrive, StackDrive, model
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.criteria.near_bodies import FAR_M, PairKind
-from deltaq_controllers.criteria.normalised import Normalised
 from deltaq_controllers.criteria.postures import Postures, RobotData
+from deltaq_controllers.criteria.table import Normalised
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.limits import IncrementLimits
-from deltaq_controllers.modes.coupled import CoupledMode, weighed
+from deltaq_controllers.modes.hand_modes import CoupledMode, travel, travel_gradient, weighed
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.interface import Instant
-from deltaq_controllers.modes.joint_travel import travel, travel_gradient
 from deltaq_controllers.modes.motion import Frame, ModeName, Motion, OperatorCommand
 from deltaq_controllers.modes.teleoperator import MODES, Teleoperator
 from deltaq_protocol.arrays import Array

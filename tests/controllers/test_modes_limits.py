@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from driving import PlainDrive, StackDrive, model
 
-from deltaq_controllers.modes.limitation import Limit, from_verdict
+from deltaq_controllers.modes.interface import Limit, from_verdict
 from deltaq_controllers.modes.motion import ModeName
 from deltaq_protocol.messages import Outcome, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode

@@ -23,7 +23,7 @@ from deltaq_controllers.advisor.advisor import advise
 from deltaq_controllers.advisor.problem import WEIGHTS, AdvisorProblem
 from deltaq_controllers.criteria import Postures
 from deltaq_controllers.criteria.near_bodies import PairKind
-from deltaq_controllers.criteria.normalised import Normalised
+from deltaq_controllers.criteria.table import Normalised
 from deltaq_controllers.inverse.tracking import ConstraintTracker
 from deltaq_protocol.arrays import Array
 

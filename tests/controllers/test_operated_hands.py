@@ -9,7 +9,7 @@ from deltaq_controllers.interface import ControllerError, RobotView
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.motion import ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
-from deltaq_controllers.operated.led import LedByWishes
+from deltaq_controllers.operated.wishes import LedByWishes
 from deltaq_protocol.driving import DriverStage, DrivingMode
 
 COUPLED, JOINT = DrivingMode.COUPLED, DrivingMode.JOINT

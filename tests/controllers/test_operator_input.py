@@ -12,8 +12,7 @@ from driving import CYCLE_S, model
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.motion import Frame, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
-from deltaq_controllers.operator_input.held_key import FIRST_REPEAT_S, TAP_SHARE
-from deltaq_controllers.operator_input.keyboard import Keyboard
+from deltaq_controllers.operator_input.keyboard import FIRST_REPEAT_S, TAP_SHARE, Keyboard
 from deltaq_controllers.operator_input.script import Script
 
 

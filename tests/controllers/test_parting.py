@@ -6,10 +6,16 @@ import numpy as np
 import pytest
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_controllers.advisor.exact import ExactClearance
-from deltaq_controllers.advisor.motion_validator import FINE, FINE_SHARE, MARGIN_M
+from deltaq_controllers.advisor.exact import (
+    FINE,
+    FINE_SHARE,
+    MARGIN_M,
+    ExactClearance,
+    HandsKept,
+    HandsMoved,
+    Space,
+)
 from deltaq_controllers.advisor.path_planner import PathPlanner, parted
-from deltaq_controllers.advisor.space import HandsKept, HandsMoved, Space
 from deltaq_controllers.inverse.tracking import ConstraintTracker
 from deltaq_protocol.arrays import Array
 

@@ -8,9 +8,9 @@ import published_arms
 import pytest
 
 from deltaq_controllers.advisor.advisor import Progress, advise
-from deltaq_controllers.advisor.answered import Answered
 from deltaq_controllers.advisor.exact import ExactClearance
 from deltaq_controllers.advisor.problem import AdvisorError, AdvisorProblem
+from deltaq_controllers.advisor.session import Answered
 from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.inverse.tracking import ConstraintTracker
 from deltaq_controllers.modes.advisor import AdvisorMode, tracker_of

@@ -8,7 +8,7 @@ from driving import CYCLE_S, PlainDrive
 
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.motion import ModeName, Motion
-from deltaq_controllers.modes.reflection import Reflection, share_of
+from deltaq_controllers.modes.teleoperator import Reflection, share_of
 from deltaq_deploy.command.drive_display import bar
 from deltaq_protocol.messages import Outcome, Verdict
 

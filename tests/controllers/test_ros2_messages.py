@@ -14,9 +14,9 @@ from deltaq_controllers.ros2.messages import (
     JointState,
     JointTrajectory,
     JointTrajectoryPoint,
+    RefusedMessageError,
     RosTime,
 )
-from deltaq_controllers.ros2.refusal import RefusedMessageError
 
 times = st.tuples(st.integers(-(2**31), 2**31 - 1), st.integers(0, 10**9 - 1))
 texts = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=20)

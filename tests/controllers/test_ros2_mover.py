@@ -11,10 +11,9 @@ from small_cell import small_cell, tool_pose
 
 from deltaq_cell.summary import robot_summary
 from deltaq_controllers.interface import RobotView, View
-from deltaq_controllers.ros2.follower import TrajectoryFollower
 from deltaq_controllers.ros2.messages import JointTrajectory
-from deltaq_controllers.ros2.mover import TrajectoryMover
-from deltaq_controllers.ros2.path import Path
+from deltaq_controllers.ros2.mover import TrajectoryFollower, TrajectoryMover
+from deltaq_controllers.ros2.trajectory import Path
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Phase, RobotState, Verdict
 from deltaq_testing.faults.rsi_cell import load_rsi_cell

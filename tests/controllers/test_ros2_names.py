@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deltaq_controllers.ros2.refusal import RefusedMessageError
+from deltaq_controllers.ros2.messages import RefusedMessageError
 from deltaq_controllers.ros2.rmw import (
     RosAttachment,
     RosNameError,

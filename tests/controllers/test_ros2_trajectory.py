@@ -11,11 +11,9 @@ from small_cell import small_cell
 
 from deltaq_cell.summary import robot_summary
 from deltaq_controllers.limits import IncrementLimits
-from deltaq_controllers.ros2.follower import SHARE, RateProfile
-from deltaq_controllers.ros2.messages import Header, RosTime
-from deltaq_controllers.ros2.path import Path
-from deltaq_controllers.ros2.refusal import RefusedMessageError
-from deltaq_controllers.ros2.trajectory import path_from, read_trajectory
+from deltaq_controllers.ros2.messages import Header, RefusedMessageError, RosTime
+from deltaq_controllers.ros2.mover import SHARE, RateProfile
+from deltaq_controllers.ros2.trajectory import Path, path_from, read_trajectory
 
 CELL = small_cell()
 GANTRY = robot_summary(CELL.robots["gr"], CELL.cycle_s)

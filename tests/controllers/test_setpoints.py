@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_controllers.held_back import HeldBack
-from deltaq_controllers.interface import ControllerError, RobotView, View
+from deltaq_controllers.interface import ControllerError, HeldBack, RobotView, View
 from deltaq_controllers.surroundings.setpoints import Foreseen, SetpointTracker
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Sight

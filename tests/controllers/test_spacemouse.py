@@ -17,10 +17,19 @@ from test_operator_input import Terminal
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.motion import HAND_AXES, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
-from deltaq_controllers.operator_input.dead_zone import DEAD_ZONE
-from deltaq_controllers.operator_input.six_axis import FULL, MOST, SETTLE_S, STALE_S, SixAxis, SixAxisState
-from deltaq_controllers.operator_input.spacemouse import NEXT_HAND, RUN, SpaceMouse
-from deltaq_controllers.operator_input.spacemouse_device import is_spacemouse
+from deltaq_controllers.operator_input.interface import DEAD_ZONE
+from deltaq_controllers.operator_input.spacemouse import (
+    FULL,
+    MOST,
+    NEXT_HAND,
+    RUN,
+    SETTLE_S,
+    STALE_S,
+    SixAxis,
+    SixAxisState,
+    SpaceMouse,
+    is_spacemouse,
+)
 
 RIGHT, BACK, DOWN = (FULL, 0, 0), (0, FULL, 0), (0, 0, FULL)
 NOTHING = (0, 0, 0)

@@ -13,9 +13,8 @@ from first_cycles import Leased, Operator, QuietCell, Waits
 from deltaq_controllers.modes.motion import OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.interface import OperatorInput
-from deltaq_controllers.signals import SignalLog, Signals
 from deltaq_controllers.statistics import ControlStatistics
-from deltaq_controllers.teleoperation import DriveLog, teleoperate
+from deltaq_controllers.teleoperation import DriveLog, SignalLog, Signals, teleoperate
 from deltaq_deploy.command.drive_display import summary
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
 from deltaq_protocol.reasons import ReasonCode

@@ -11,8 +11,7 @@ import numpy as np
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import RobotView, View
-from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.held_object import HeldObject
+from deltaq_controllers.modes.hands import Hands, HeldObject
 from deltaq_controllers.modes.motion import HAND_AXES, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_protocol.arrays import Array

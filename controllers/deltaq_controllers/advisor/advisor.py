@@ -8,16 +8,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from deltaq_controllers.advisor.component import STEPS, Component
-from deltaq_controllers.advisor.exact import ExactClearance
-from deltaq_controllers.advisor.motion_validator import LIMIT_MARGIN, LIMIT_SHARE
-from deltaq_controllers.advisor.path_planner import NoPathError, PathPlanner
+from deltaq_controllers.advisor.exact import LIMIT_MARGIN, LIMIT_SHARE, ExactClearance, HandsKept, HandsMoved
+from deltaq_controllers.advisor.path_planner import NoPathError, PathPlanner, Tree
 from deltaq_controllers.advisor.problem import AdvisorError, AdvisorProblem
 from deltaq_controllers.advisor.search import DISTINCT, Pool, check_method, search
-from deltaq_controllers.advisor.space import HandsKept, HandsMoved
-from deltaq_controllers.advisor.trees import Tree
 from deltaq_controllers.criteria import TABLE, Postures
 from deltaq_controllers.criteria.near_bodies import Clearance, PairKind
-from deltaq_controllers.criteria.normalised import cost
+from deltaq_controllers.criteria.table import cost
 from deltaq_protocol.arrays import Array, Indices
 
 # The front of two criteria: configurations of which none is better in one without being worse in the other.

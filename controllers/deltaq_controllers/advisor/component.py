@@ -11,10 +11,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from deltaq_controllers.advisor.descent import descend
+from deltaq_controllers.advisor.path_planner import Tree
 from deltaq_controllers.advisor.problem import AdvisorProblem
-from deltaq_controllers.advisor.search import DISTINCT
-from deltaq_controllers.advisor.trees import Tree
+from deltaq_controllers.advisor.search import DISTINCT, descend
 from deltaq_controllers.criteria import Postures
 from deltaq_protocol.arrays import Array, Flags, Indices
 

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 import coal
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.composite_model import composite_model
 from deltaq_cell.group import Group
 from deltaq_cell.proximity import ProximityEngine
-from deltaq_controllers.criteria.near_bodies import Clearance
-from deltaq_controllers.criteria.screen import Screen, least_gaps
+from deltaq_cell.robot import RobotModel
+from deltaq_controllers.criteria.near_bodies import Clearance, Screen, least_gaps
+from deltaq_controllers.inverse.tracking import ConstraintTracker
 from deltaq_controllers.kinematics import placement_views
 from deltaq_protocol.arrays import Array, Flags
 
@@ -116,3 +119,197 @@ class _KeptDistances:
             return True
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._placed)
         return not any(pin.computeCollision(self._geometry, self._placed, pair) for pair in pairs)
+
+
+# The spaces in which paths are searched for: with the hands fixed, or with all joints free.
+
+
+class Space(Protocol):
+    """Configurations that follow from some of their joints.
+
+    Attributes:
+        free: (m,) indices of the joints that the others follow from.
+    """
+
+    free: NDArray[np.intp]
+
+    def walk(self, origin: Array, target: Array, pieces: int) -> Array:
+        """(N, pieces + 1, n) paths from configurations (N, n), straight to (N, m); NaN from where there is none."""
+        ...
+
+    def placed(self, free: Array, near: Array) -> Array:
+        """(N, n) configurations with the free joints (N, m), each on the branch that (N, n) are on; NaN for none."""
+        ...
+
+    def barred(self, start: Array, goal: Array) -> str:
+        """Why no path can lead from one configuration (n,) to another; empty if one may."""
+        ...
+
+
+class HandsKept:
+    """Self-motions: the base is free, and the arms keep the hands where they are.
+
+    Args:
+        tracker: of the robot.
+        T_world_hands: (h, 4, 4) where the hands are kept.
+    """
+
+    def __init__(self, tracker: ConstraintTracker, T_world_hands: Array) -> None:
+        self._tracker, self._poses = tracker, T_world_hands
+        self.free = tracker.base
+
+    def walk(self, origin: Array, target: Array, pieces: int) -> Array:
+        """Straight in the base, the arms following on their branches."""
+        return self._tracker.walk(origin, target, self._poses, pieces)
+
+    def placed(self, free: Array, near: Array) -> Array:
+        """The arms on the branches nearest to `near`."""
+        return self._tracker.track(free, self._poses, near)
+
+    def barred(self, start: Array, goal: Array) -> str:
+        """An arm that is on another branch at the goal: between branches lie singularities."""
+        branches = zip(
+            self._tracker.arms,
+            self._tracker.branch(start, self._poses),
+            self._tracker.branch(goal, self._poses),
+            strict=True,
+        )
+        hands = [arm.hand for arm, here, there in branches if here != there]
+        if not hands:
+            return ""
+        names = " and ".join(hands)
+        arms, are = ("arms", "are") if len(hands) > 1 else ("arm", "is")
+        return f"the {arms} of {names} {are} on another branch, beyond a singularity"
+
+
+class HandsMoved:
+    """All joints free, the hands wherever that takes them."""
+
+    def __init__(self, robot: RobotModel) -> None:
+        self.free = np.arange(robot.n)
+
+    def walk(self, origin: Array, target: Array, pieces: int) -> Array:
+        """Straight in the joints."""
+        shares = np.linspace(0.0, 1.0, pieces + 1)[:, None]
+        way: Array = origin[:, None] + shares * (target - origin)[:, None]
+        return way
+
+    def placed(self, free: Array, _near: Array) -> Array:
+        """The joints as given."""
+        return free
+
+    def barred(self, _start: Array, _goal: Array) -> str:
+        """No reason: every configuration may be connected."""
+        return ""
+
+
+# Where a path may pass (motion validity): clear of obstacles and limits, and without a jump of any joint.
+
+
+STEP = 0.05
+"""Distance in the free joints between two configurations that are checked while searching [rad or m]."""
+FINE = 0.01
+"""Distance in the free joints between two configurations of a returned path [rad or m]."""
+FINER = (1, 4, 16)
+"""Into so many times the pieces a straight path is divided until no joint jumps: an arm is quick near a singularity."""
+LEAP = 4.0
+"""Any joint may change by this many times the step; more is another branch, or too near to a singularity."""
+SEARCHED_LEAP = 3.0
+"""The same while searching, so that the finer check agrees."""
+MARGIN_M = 0.015
+"""Margin to bodies that the search keeps where start and goal have it, so that the finer check agrees."""
+LIMIT_MARGIN = 0.05
+"""Margin to joint limits that a path keeps where start and goal have it, so that it can be braked [rad or m]."""
+LIMIT_SHARE = 0.02
+"""The same as a fraction of the joint's range; the greater of the two counts."""
+FINE_SHARE = 0.4
+"""Fraction of the margins that is kept between the configurations that the search looked at."""
+SAMPLED = 6
+"""Of so many configurations of a path one is looked at first: most blocked paths are blocked over a good part."""
+
+
+class MotionValidator:
+    """Where paths between some configurations may pass.
+
+    Args:
+        robot: the robot, whose limits are kept.
+        space: in which the paths lie.
+        exact: measures the distances of bodies.
+        ends: (k, n) configurations that paths begin and end at; margins are no larger than these have them.
+        wider: factor of the usual margin to bodies.
+
+    Attributes:
+        space: as given.
+        margin_m: margin to bodies that is kept.
+    """
+
+    def __init__(
+        self, robot: RobotModel, space: Space, exact: ExactClearance, ends: Array, wider: float
+    ) -> None:
+        self.space, self._exact = space, exact
+        room_m = min(exact.measure(q).room_m for q in ends)
+        self.margin_m = float(np.clip(0.8 * room_m, 0.0, wider * MARGIN_M))
+        self._limits = robot.lower, robot.upper
+        self._margin = np.maximum(LIMIT_MARGIN, LIMIT_SHARE * (robot.upper - robot.lower))
+        self._lowest, self._highest = ends.min(axis=0), ends.max(axis=0)
+
+    def within(self, q: Array, share: float = 1.0) -> Flags:
+        """(...) whether configurations (..., n) keep a fraction of the margin to the limits."""
+        lower, upper = self._limits
+        low = np.minimum(lower + share * self._margin, self._lowest)
+        high = np.maximum(upper - share * self._margin, self._highest)
+        within: Flags = np.all((q >= low) & (q <= high), axis=-1)
+        return within
+
+    def clear(self, q: Array) -> Flags:
+        """(N,) whether configurations (N, n) keep the margins to bodies and limits."""
+        clear = self.within(q)
+        inside = np.flatnonzero(clear)
+        if len(inside):
+            clear[inside] = self._exact.kept(q[inside], self.margin_m)
+        return clear
+
+    def walk(self, origin: Array, target: Array) -> tuple[Array, Flags]:
+        """Paths that are straight in the free joints.
+
+        Args:
+            origin: (N, n) where they begin.
+            target: (N, m) free joints where they end.
+
+        Returns:
+            (N, P + 1, n) configurations, and (N,) whether each path is inside the limits and without a jump.
+        """
+        change = float(np.abs(target - origin[:, self.space.free]).max(initial=0.0))
+        way = self.space.walk(origin, target, max(1, int(np.ceil(change / STEP))))
+        steady = np.abs(np.diff(way, axis=1)).max(axis=2) <= SEARCHED_LEAP * STEP
+        return way, (steady & self.within(way[:, 1:])).all(axis=1)
+
+    def straight(self, origin: Array, target: Array) -> Flags:
+        """(N,) whether configurations (N, n) can be reached from others (N, n) straight in the free joints."""
+        way, passes = self.walk(origin, target[:, self.space.free])
+        passes &= np.abs(way[:, -1] - target).max(axis=1) < 1e-6
+        between = np.arange(1, way.shape[1])
+        for looked_at in (between[between % SAMPLED == 0], between[between % SAMPLED != 0]):
+            rows = np.flatnonzero(passes)
+            if len(rows) and len(looked_at):
+                seen = self.clear(way[rows][:, looked_at].reshape(-1, way.shape[2]))
+                passes[rows] = seen.reshape(len(rows), -1).all(axis=1)
+        return passes
+
+    def fine(self, corners: Array) -> Array | None:
+        """(P, n) the path from corner to corner (k, n) as it is returned; None if a joint jumps."""
+        legs = [corners[:1]]
+        for start, corner in zip(corners[:-1], corners[1:, self.space.free], strict=True):
+            change = np.abs(corner - start[self.space.free]).max()
+            pieces = max(1, int(np.ceil(change / FINE)))
+            for finer in FINER:
+                (leg,) = self.space.walk(start[None], corner[None], finer * pieces)
+                if self.is_steady(leg):
+                    break
+            legs.append(leg[1:])
+        path = np.concatenate(legs)
+        return path if self.is_steady(path) and np.abs(path[-1] - corners[-1]).max() < 1e-6 else None
+
+    def is_steady(self, path: Array) -> bool:
+        """Whether no joint jumps along a path (P, n) that is to be returned."""
+        return bool((np.abs(np.diff(path, axis=0)).max(axis=1) <= LEAP * FINE).all())

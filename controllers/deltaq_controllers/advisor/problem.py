@@ -16,7 +16,7 @@ import numpy as np
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.criteria import TABLE, Normalised, Postures, RobotData
-from deltaq_controllers.criteria.normalised import references
+from deltaq_controllers.criteria.table import references
 from deltaq_controllers.inverse.tracking import ConstraintTracker
 from deltaq_protocol.arrays import Array, Indices
 from deltaq_protocol.errors import DeltaqError

@@ -104,7 +104,7 @@ class AdvisorProcess:
         self._send(_Ask(self._newest.number, q, self._others(), trade_off, hands_may_leave))
 
     def seek(self, back: Array, rank: int) -> None:
-        """Begin to search for a path to the option of a rank, if need be by `back` (P, n); see `Counsel.seek`."""
+        """Begin to search for a path to an option, if need be by `back` (P, n); see `AdvisorSession.seek`."""
         self._newest = _Answer(self._newest.number + 1, self._newest.progress)
         self._send(_Seek(self._newest.number, back, rank, self._others()))
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.advisor.advisor import Option, Progress, advise
-from deltaq_controllers.advisor.exact import ExactClearance
+from deltaq_controllers.advisor.exact import ExactClearance, HandsKept, HandsMoved, Space
 from deltaq_controllers.advisor.path_planner import NoPathError, PathPlanner
 from deltaq_controllers.advisor.problem import AdvisorProblem
-from deltaq_controllers.advisor.space import HandsKept, HandsMoved, Space
+from deltaq_controllers.criteria.near_bodies import Clearance
 from deltaq_controllers.inverse.tracking import ConstraintTracker
 from deltaq_protocol.arrays import Array
 
@@ -157,3 +157,121 @@ class AdvisorSession:
 
 IN_PLACE_M = 1e-3
 """A hand within this is in its place: self-motions keep it there ten times better [m]."""
+
+
+# The advisor within the control loop, for virtual time: its search takes no virtual time.
+
+
+class SynchronousAdvisor:
+    """Answers before it returns, the other robots of the cell at home.
+
+    Args:
+        cell: model of the cell.
+        robot: name of the robot.
+        weights: of the criteria; the advisor's own if not given.
+        options: how many at most.
+        effort: of the search.
+
+    Attributes:
+        tracker: of the robot.
+        progress: the results so far; None before the first question.
+    """
+
+    trouble = ""
+    is_busy = False
+
+    def __init__(
+        self,
+        cell: CellModel,
+        robot: str,
+        weights: Mapping[str, float] | None = None,
+        options: int = 5,
+        effort: float = 1.0,
+    ) -> None:
+        self._counsel = AdvisorSession(cell, robot, weights, options=options, effort=effort)
+        self.tracker = self._counsel.tracker
+        self.progress: Progress | None = None
+
+    def prepare(self) -> None:
+        """Nothing to prepare: the model of the cell is loaded."""
+
+    def ask(self, q: Array, trade_off: tuple[str, str] | None = None, hands_may_leave: bool = False) -> None:
+        """Look for options; see `AdvisorSession.ask`."""
+        self._counsel.ask(q, {}, self._take, trade_off, hands_may_leave)
+
+    def seek(self, back: Array, rank: int) -> None:
+        """Search for a path to the option of a rank; see `AdvisorSession.seek`."""
+        self._counsel.seek(back, rank, {}, self._take)
+
+    def give_up(self) -> None:
+        """Nothing is going on."""
+
+    def _take(self, progress: Progress) -> bool:
+        self.progress = progress
+        return True
+
+
+# An advisor whose answer is known already.
+
+
+class Answered:
+    """Gives one prepared answer to every question.
+
+    Args:
+        tracker: of the robot.
+        progress: the answer.
+
+    Attributes:
+        tracker, progress: as given.
+        trouble: why there is no path from the robot's configuration.
+    """
+
+    is_busy = False
+
+    def __init__(self, tracker: ConstraintTracker, progress: Progress) -> None:
+        self.tracker = tracker
+        self.progress: Progress | None = progress
+        self.trouble = ""
+
+    def prepare(self) -> None:
+        """Nothing to prepare."""
+
+    def ask(
+        self, _q: Array, _trade_off: tuple[str, str] | None = None, _hands_may_leave: bool = False
+    ) -> None:
+        """The answer is known already."""
+
+    def seek(self, _back: Array, _rank: int) -> None:
+        """No path begins where the robot is."""
+        self.trouble = f"{self.tracker.robot.name} has been moved meanwhile; advise again"
+
+    def give_up(self) -> None:
+        """Nothing to cancel."""
+
+
+# An option to practise with.
+
+
+_NEAR = 0.01
+"""Distance of the option from home, in every base joint [rad or m]."""
+
+
+def near_home(tracker: ConstraintTracker) -> Option:
+    """The base joints a little off the robot's home."""
+    home = tracker.robot.home
+    end = home.copy()
+    end[tracker.base] += _NEAR
+    clearance = Clearance(room_m=0.0, distance_m=0.0, pair=("", ""))
+    return Option(
+        end,
+        energy=0.0,
+        values={},
+        costs={},
+        clearance=clearance,
+        nearest_limit="",
+        limit_share=0.0,
+        hands_move=False,
+        start=home,
+        path=np.array([home, end]),
+        no_path="",
+    )

@@ -7,9 +7,25 @@ from __future__ import annotations
 
 import numpy as np
 
-from deltaq_controllers.criteria.hands import of_worst, singular
+from deltaq_controllers.criteria.near_bodies import FAR_M, SOFT_M, PairKind
 from deltaq_controllers.criteria.postures import Postures
-from deltaq_protocol.arrays import Array
+from deltaq_protocol.arrays import Array, Flags
+
+# Criteria of hands: singular values of their Jacobians, and the hand that counts, which is the worst.
+
+
+def of_worst(values: Array, better: str, each: Array) -> Array:
+    """(N, n) of `each` hand (N, h, n) that of the hand whose value (N, h) is the worst."""
+    worst = values.argmin(axis=1) if better == "more" else values.argmax(axis=1)
+    chosen: Array = each[np.arange(len(each)), worst]
+    return chosen
+
+
+def singular(J: Array, H: Array) -> tuple[Array, Array]:
+    """(N, h, k) singular values of J (N, h, r, n), and their (N, h, k, n) derivatives from H (N, h, r, n, n)."""
+    U, values, Vt = np.linalg.svd(J, full_matrices=False)
+    return values, np.einsum("nhak,nhaji,nhkj->nhki", U, H, Vt, optimize=True)
+
 
 RATE_STEP = 1e-5
 """Step of the central difference behind the gradient of the rate, which is a second derivative [rad or m]."""
@@ -238,4 +254,75 @@ def _unevenness_gradient(shares: Array, derivatives: Array) -> Array:
     squares = np.square(shares).sum(axis=-1)[..., None]
     change = 2.0 * np.einsum("...j,...ji->...i", shares, derivatives)
     gradient: Array = change / total**2 - 2.0 * squares / total**3 * derivatives.sum(axis=-2)
+    return gradient
+
+
+# Clearance to obstacles, to other robots and of the robot from itself, each a criterion of its own.
+#
+# A clearance is a smooth minimum of the rooms r of the nearest pairs, `m - s log sum exp(-(r - m) / s)`, m the least
+# of them. So two bodies that are equally near count more than one, and the gradient turns from one pair to another
+# without a step.
+
+
+def clearance(postures: Postures) -> Array:
+    """Of all pairs [m]."""
+    return _room(postures, np.ones(len(postures.near.row), dtype=np.bool_))
+
+
+def clearance_gradient(postures: Postures) -> Array:
+    """Of `clearance`."""
+    return _gradient(postures, np.ones(len(postures.near.row), dtype=np.bool_))
+
+
+def self_clearance(postures: Postures) -> Array:
+    """Of the robot from itself [m]."""
+    return _room(postures, postures.near.kind == PairKind.SELF)
+
+
+def self_clearance_gradient(postures: Postures) -> Array:
+    """Of `self_clearance`."""
+    return _gradient(postures, postures.near.kind == PairKind.SELF)
+
+
+def obstacle_clearance(postures: Postures) -> Array:
+    """Of the robot from the structure [m]."""
+    return _room(postures, postures.near.kind == PairKind.ENVIRONMENT)
+
+
+def obstacle_clearance_gradient(postures: Postures) -> Array:
+    """Of `obstacle_clearance`."""
+    return _gradient(postures, postures.near.kind == PairKind.ENVIRONMENT)
+
+
+def robot_clearance(postures: Postures) -> Array:
+    """Of the robot from other robots [m]."""
+    return _room(postures, postures.near.kind == PairKind.ROBOTS)
+
+
+def robot_clearance_gradient(postures: Postures) -> Array:
+    """Of `robot_clearance`."""
+    return _gradient(postures, postures.near.kind == PairKind.ROBOTS)
+
+
+def _weights(postures: Postures, counts: Flags) -> tuple[Array, Array, Array]:
+    """(N,) least room, FAR_M where nothing is near; (e,) weight of each pair; (N,) their sum and that of FAR_M."""
+    near, least = postures.near, np.full(len(postures), FAR_M)
+    np.minimum.at(least, near.row[counts], near.room[counts])
+    weight = np.where(counts, np.exp(-(near.room - least[near.row]) / SOFT_M), 0.0)
+    total = np.exp(-(FAR_M - least) / SOFT_M)
+    np.add.at(total, near.row, weight)
+    return least, weight, total
+
+
+def _room(postures: Postures, counts: Flags) -> Array:
+    least, _, total = _weights(postures, counts)
+    room: Array = least - SOFT_M * np.log(total)
+    return room
+
+
+def _gradient(postures: Postures, counts: Flags) -> Array:
+    near = postures.near
+    _, weight, total = _weights(postures, counts)
+    gradient = np.zeros_like(postures.q)
+    np.add.at(gradient, near.row, (weight / total[near.row])[:, None] * postures.near_rates)
     return gradient

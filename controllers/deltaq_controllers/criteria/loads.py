@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deltaq_controllers.criteria.hands import of_worst, singular
+from deltaq_controllers.criteria.formulas import of_worst, singular
 from deltaq_controllers.criteria.postures import Postures
 from deltaq_protocol.arrays import Array, Flags
 

@@ -18,11 +18,11 @@ from deltaq_controllers.inverse.chain import (
     JOINTS,
     STEPS,
     Chain,
+    determinant_of,
     followed,
     placed,
     refined_all,
 )
-from deltaq_controllers.inverse.small_matrices import determinant_of
 from deltaq_protocol.arrays import Array
 
 try:

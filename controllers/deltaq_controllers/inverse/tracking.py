@@ -7,16 +7,169 @@ on a gantry 3 of 9, a Panda 1 of 7.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.batch import BatchKinematics
 from deltaq_controllers.inverse.any_arm import HAS_CLOSED_FORMS, AnyArm
-from deltaq_controllers.inverse.arms import ARM_JOINTS, Arm, TrackingError, arm_of, inverted
-from deltaq_controllers.inverse.branches import Branches
+from deltaq_controllers.inverse.branches import Branches, wrapped
+from deltaq_controllers.inverse.chain import Chain, chain_of
+from deltaq_controllers.inverse.kr16 import SHOULDER_HEIGHT, T_WRIST_FLANGE, Kr16Inverse
+from deltaq_controllers.inverse.titan import TitanInverse, TitanLengths
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.errors import DeltaqError
+
+# The arm before a hand: which six joints, and the inverse that fits them.
+
+
+ARM_JOINTS = 6
+
+
+class TrackingError(DeltaqError):
+    """A robot with an arm that has no inverse."""
+
+
+class ArmInverse(Protocol):
+    """The inverse of six joints in a row, for poses of the tool in the arm's base frame."""
+
+    def inverse(self, poses: Array, hint: Array | None = None) -> Branches:
+        """All configurations that put the tool at each pose."""
+        ...
+
+    def near(self, poses: Array, reference: Array, lower: Array, upper: Array) -> Array:
+        """(N, 6) solution inside the limits that is nearest to a reference (N, 6); NaN where there is none."""
+        ...
+
+    def follow(self, poses: Array, start: Array) -> Array:
+        """(N, P, 6) configurations along paths (N, P, 4, 4) from (N, 6) on, without a change of branch."""
+        ...
+
+    def branch(self, pose: Array, q: Array) -> int:
+        """Number of the branch that `q` (6,) is on, which puts the tool at a pose (4, 4)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Arm:
+    """Six joints in a row before a hand.
+
+    Attributes:
+        hand: its name.
+        joints: (6,) their indices.
+        solver: their inverse, of the hand or, if there are joints beyond, of the last joint's frame.
+        T_mount_base: (4, 4) the inverse's base frame in the frame of the first joint at zero.
+        beyond: indices of the joints between arm and hand.
+        T_last_hand: (4, 4) the hand in the frame of the last joint before it.
+    """
+
+    hand: str
+    joints: NDArray[np.intp]
+    solver: ArmInverse
+    T_mount_base: Array = field(default_factory=lambda: np.eye(4))
+    beyond: tuple[int, ...] = ()
+    T_last_hand: Array = field(default_factory=lambda: np.eye(4))
+
+    def chain(self, robot: RobotModel) -> Chain:
+        """The arm's joints at zero, with what its inverse has for a tool."""
+        return chain_of(robot.model, self.joints, np.eye(4) if self.beyond else self.T_last_hand)
+
+    def pose_of_last(self, kinematics: BatchKinematics, q: Array) -> Array:
+        """(N, 4, 4) frame of the arm's last joint in that of the hand, at configurations (N, n)."""
+        frames = kinematics.frames(q, list(self.beyond), carrier=int(self.joints[-1]))
+        T = np.zeros((len(q), 4, 4))
+        T[:, :3, :3], T[:, :3, 3] = frames.rotation[self.beyond[-1]], frames.position[self.beyond[-1]]
+        T[:, 3, 3] = 1.0
+        return inverted(T @ self.T_last_hand)
+
+
+def arm_of(robot: RobotModel, kinematics: BatchKinematics, hand: str) -> Arm:
+    """The arm before a hand.
+
+    It is the last six joints where these have an inverse in closed form: the KR 16's or the Titan II's own, which are
+    the quickest, or one that EAIK finds. A longer chain may have one for six joints further in only, as a Panda has,
+    whose last joint is free then. Otherwise the last six are solved by Newton's method.
+
+    Raises:
+        TrackingError: fewer than six joints carry the hand, or one of the six slides.
+    """
+    frame = robot.model.frames[robot.frame_of(hand)]
+    T_last_hand = frame.placement.homogeneous
+    chain = np.array([joint - 1 for joint in robot.model.supports[int(frame.parentJoint)] if joint > 0])
+    last = chain[-ARM_JOINTS:]
+    if len(last) < ARM_JOINTS:
+        raise TrackingError(
+            f"robot '{robot.name}': {hand} is carried by {len(last)} joint{'s' * (len(last) != 1)}, and an arm has "
+            f"{ARM_JOINTS}"
+        )
+    for arm in _of_our_own(robot, hand, last, T_last_hand):
+        if _fits(robot, kinematics, arm):
+            return arm
+    if not robot.revolute[last].all():
+        sliding = ", ".join(np.array(robot.joint_names)[last][~robot.revolute[last]])
+        raise TrackingError(
+            f"robot '{robot.name}': {sliding} is prismatic; the six joints before {hand} must be revolute"
+        )
+    for arm in _in_closed_form(robot, hand, chain, T_last_hand):
+        if _fits(robot, kinematics, arm):
+            return arm
+    limits = robot.lower[last], robot.upper[last]
+    numeric = AnyArm(chain_of(robot.model, last, T_last_hand), *limits, numeric=True)
+    return Arm(hand, last, numeric, T_last_hand=T_last_hand)
+
+
+def _of_our_own(robot: RobotModel, hand: str, joints: NDArray[np.intp], T_last_hand: Array) -> Iterator[Arm]:
+    places = [robot.model.jointPlacements[int(joint) + 1].translation for joint in joints]
+    azimuth, upper_arm, forearm, wrist = (float(place[2]) for place in places[1:5])
+    if upper_arm > 0.0 and forearm > 0.0:
+        lengths = TitanLengths(azimuth, upper_arm, forearm, wrist, tool=0.0)
+        yield Arm(hand, joints, TitanInverse(lengths, T_last_hand), T_last_hand=T_last_hand)
+    below = np.eye(4)
+    below[2, 3] = -SHOULDER_HEIGHT
+    kr16 = Kr16Inverse(np.linalg.inv(T_WRIST_FLANGE) @ T_last_hand)
+    yield Arm(hand, joints, kr16, below, T_last_hand=T_last_hand)
+
+
+def _in_closed_form(
+    robot: RobotModel, hand: str, chain: NDArray[np.intp], T_last_hand: Array
+) -> Iterator[Arm]:
+    """Arms of six joints in a row that EAIK can decompose, the outermost first."""
+    for first in range(len(chain) - ARM_JOINTS, -1, -1):
+        joints, beyond = chain[first : first + ARM_JOINTS], chain[first + ARM_JOINTS :]
+        if not robot.revolute[joints].all():
+            return
+        T_last_tool = np.eye(4) if len(beyond) else T_last_hand
+        links = chain_of(robot.model, joints, T_last_tool)
+        solver = AnyArm(links, robot.lower[joints], robot.upper[joints])
+        if solver.family:
+            yield Arm(hand, joints, solver, beyond=tuple(beyond.tolist()), T_last_hand=T_last_hand)
+
+
+def _fits(robot: RobotModel, kinematics: BatchKinematics, arm: Arm) -> bool:
+    """Whether the inverse reproduces a configuration of the model itself."""
+    q = robot.lower + (robot.upper - robot.lower) * np.linspace(0.37, 0.61, robot.n)
+    frames = kinematics.frames(q[None])
+    T_base_world = np.linalg.inv(kinematics.mounts(frames, int(arm.joints[0]), 1)[0] @ arm.T_mount_base)
+    pose = T_base_world @ robot.forward(q, arm.hand)
+    if arm.beyond:
+        pose = pose @ arm.pose_of_last(kinematics, q[None])[0]
+    branches = arm.solver.inverse(pose, q[arm.joints])
+    difference = np.abs(wrapped(branches.q - q[arm.joints])).max(axis=1)
+    return bool((difference[branches.exists] < 1e-6).any())
+
+
+def inverted(T: Array) -> Array:
+    """Inverse of poses (N, 4, 4)."""
+    inverse = np.zeros_like(T)
+    inverse[:, :3, :3] = T[:, :3, :3].transpose(0, 2, 1)
+    inverse[:, :3, 3] = -np.einsum("nji,nj->ni", T[:, :3, :3], T[:, :3, 3])
+    inverse[:, 3, 3] = 1.0
+    return inverse
+
 
 __all__ = ["ARM_JOINTS", "Arm", "ConstraintTracker", "TrackingError"]
 
@@ -143,3 +296,27 @@ class ConstraintTracker:
             T_world_base = self.kinematics.mounts(frames, int(arm.joints[0]), len(base)) @ arm.T_mount_base
             T_base_hand = inverted(T_world_base) @ T_world_hand
             yield arm, T_base_hand @ arm.pose_of_last(self.kinematics, q) if arm.beyond else T_base_hand
+
+
+# Which robot of a cell has joints to spare.
+
+
+def first_redundant(
+    robots: Mapping[str, RobotModel], most_hands: int | None = None
+) -> ConstraintTracker | None:
+    """The inverse of the first redundant robot of a cell; None if there is none.
+
+    Args:
+        robots: of the cell, by name.
+        most_hands: it may have; None for any number.
+    """
+    for robot in robots.values():
+        if most_hands is not None and len(robot.hands) > most_hands:
+            continue
+        try:
+            tracker = ConstraintTracker(robot)
+        except TrackingError:
+            continue
+        if len(tracker.base):
+            return tracker
+    return None

@@ -44,7 +44,7 @@ def compile_ahead(cell: str) -> None:
     from deltaq_cell.cell_model import CellModel
     from deltaq_cell.compiling import compiling_shown
     from deltaq_cell.robot import RobotModel
-    from deltaq_controllers.advisor.synchronous import SynchronousAdvisor
+    from deltaq_controllers.advisor.session import SynchronousAdvisor
     from deltaq_controllers.modes.advisor import AdvisorMode, tracker_of
     from deltaq_controllers.modes.motion import ModeName
     from deltaq_controllers.modes.practice import practise

@@ -8,15 +8,12 @@ import numpy as np
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.advisor.advisor import NOT_LOOKED_FOR, Option, Progress
-from deltaq_controllers.advisor.answered import Answered
-from deltaq_controllers.advisor.near_home import near_home
+from deltaq_controllers.advisor.session import Answered, near_home
 from deltaq_controllers.advisor.time_parameterisation import Route, timed
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.inverse.tracking import ConstraintTracker, TrackingError
-from deltaq_controllers.modes.brake_margin import GLIMPSE_S, kept_while_braked
-from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.interface import Advance, Instant
-from deltaq_controllers.modes.limitation import Limit, Limitation
+from deltaq_controllers.modes.hands import GLIMPSE_S, Hands, kept_while_braked
+from deltaq_controllers.modes.interface import Advance, Instant, Limit, Limitation
 from deltaq_controllers.modes.motion import ModeName, Motion
 from deltaq_controllers.modes.stepped import SteppedMode
 from deltaq_protocol.arrays import Array

@@ -2,18 +2,146 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import StrEnum
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_controllers.limits import IncrementLimits
-from deltaq_controllers.modes.held_object import HeldObject
-from deltaq_controllers.modes.limitation import Limitation
+from deltaq_controllers.modes.conditioning import LOST
+from deltaq_controllers.modes.hands import Hands, HeldObject
 from deltaq_controllers.modes.motion import ModeName, Motion
 from deltaq_controllers.surroundings.surroundings import RobotSurroundings
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.messages import Outcome, Verdict
+from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
+
+# What limits the operator now, in words: from the mode's own conditioning, its limits, and the gate's verdict.
+
+
+class Limit(StrEnum):
+    """Kinds of things that limit a mode."""
+
+    JOINT_LIMIT = "limit"
+    SINGULARITY = "singularity"
+    WORKSPACE_EDGE = "workspace_edge"
+    CLEARANCE = "clearance"
+    SPEED = "speed"
+    NO_WAY = "no_way"
+    REFUSED = "refused"
+
+
+@dataclass(frozen=True)
+class Limitation:
+    """One thing that limits a mode now.
+
+    Attributes:
+        limit: its kind.
+        what: the joint, hand or pair of bodies.
+        text: a sentence for the operator.
+    """
+
+    limit: Limit
+    what: str
+    text: str
+
+
+_FROM_GATE = {
+    ReasonCode.POSITION_LIMIT: Limit.JOINT_LIMIT,
+    ReasonCode.VELOCITY_LIMIT: Limit.SPEED,
+    ReasonCode.ACCELERATION_LIMIT: Limit.SPEED,
+    ReasonCode.CLEARANCE: Limit.CLEARANCE,
+    ReasonCode.RETREAT: Limit.CLEARANCE,
+}
+
+
+def from_verdict(verdict: Verdict) -> Limitation | None:
+    """The limitation of a request by the gate; None if it was admitted."""
+    if verdict.outcome is Outcome.ADMITTED or not verdict.reasons:
+        return None
+    reason = verdict.reasons[0]
+    limit = _FROM_GATE.get(reason.code, Limit.REFUSED)
+    what = reason.what if limit is not Limit.REFUSED else reason.code.value
+    text = EXPLANATIONS[reason.code]
+    if limit is Limit.CLEARANCE and reason.value is not None and reason.bound is not None:
+        text += f": {what}, {reason.value * 1000:.0f} mm, allowed {reason.bound * 1000:.0f} mm"
+    elif what:
+        text += f": {what}"
+    return Limitation(limit, what, text)
+
+
+def of_joint(name: str, position: float, revolute: bool) -> Limitation:
+    """A joint at its limit: with more motion it could not be braked inside the limit."""
+    where = f"{np.rad2deg(position):.1f}°" if revolute else f"{position * 1000:.0f} mm"
+    return Limitation(Limit.JOINT_LIMIT, name, f"{name} is at its limit, {where}")
+
+
+def of_speed(name: str) -> Limitation:
+    """A joint that would have to move faster than it can."""
+    return Limitation(Limit.SPEED, name, f"{name} is at its velocity limit")
+
+
+def of_pair(pair: tuple[str, str], distance_m: float, kept_m: float) -> Limitation:
+    """Two bodies that come no nearer."""
+    what = " and ".join(pair)
+    text = f"{what} come no nearer: {distance_m * 1000:.0f} mm, kept {kept_m * 1000:.0f} mm"
+    return Limitation(Limit.CLEARANCE, what, text)
+
+
+def of_object(limitation: Limitation) -> Limitation:
+    """The limitation of hands that hold an object, which stops with them."""
+    return replace(limitation, text=f"the object, held by all hands: {limitation.text}")
+
+
+class Conditioning(NamedTuple):
+    """A way that the joints can hardly do any more.
+
+    Attributes:
+        rates: (r,) of the tasks that are asked for, turns as travel, six for each hand first [m/s].
+        motion: (n,) direction in which the joints would have to move.
+        bend: (r,) change along it of the tasks' displacements per joint displacement [m/rad^2].
+        mobility: of the way [m/rad].
+        lost: part of the way that no joint motion makes.
+    """
+
+    rates: Array
+    motion: Array
+    bend: Array
+    mobility: float
+    lost: float
+
+
+def of_conditioning(hands: Hands, conditioning: Conditioning) -> Limitation:
+    """A singularity, or the edge of the workspace.
+
+    At an edge the reach is greatest: the hands' second derivative along the motion of the joints points back inside.
+    This is checked where travel is asked for; lost rotations are singularities of the wrist.
+    """
+    way = conditioning.rates[: 6 * len(hands.names)]
+    busy = [float(np.linalg.norm(conditioning.motion[arm])) for arm in hands.arms]
+    asked = [float(np.linalg.norm(part)) for part in way.reshape(-1, 6)]
+    # of equally busy arms the one whose hand is asked to move
+    hand = int(np.argmax([busy[i] * (asked[i] > 0.0) for i in range(len(busy))]))
+    name = hands.names[hand]
+    size = float(np.linalg.norm(conditioning.rates))
+    travel = float(np.linalg.norm(way.reshape(-1, 6)[:, :3])) / size
+    bend = float(conditioning.rates @ conditioning.bend) / size
+    if conditioning.lost > LOST:
+        text = f"the {name} is at a singularity: no joints move it that way"
+        return Limitation(Limit.SINGULARITY, name, text)
+    told = f"{1000.0 * conditioning.mobility:.0f} mm of its way for each radian of the joints"
+    if travel > _MOSTLY and bend < -_BENT:
+        return Limitation(Limit.WORKSPACE_EDGE, name, f"the {name} is at the edge of its reach ({told})")
+    return Limitation(Limit.SINGULARITY, name, f"the {name} is at a singularity ({told})")
+
+
+_MOSTLY = 0.7
+"""Fraction of travel in a way that makes it one of travel."""
+
+_BENT = 0.05
+"""Second derivative of the reach that counts as an edge [m/rad^2]."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ import numpy as np
 from deltaq_cell.compiled import compiled
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.modes import programme
-from deltaq_controllers.modes.brake_margin import kept_together_while_braked
 from deltaq_controllers.modes.conditioning import (
     GLANCE,
     LOST,
@@ -24,21 +23,20 @@ from deltaq_controllers.modes.conditioning import (
     least_motions,
     ramped,
 )
-from deltaq_controllers.modes.hand_kinematics import displacement, turned
-from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.held_object import HeldObject
-from deltaq_controllers.modes.increment_bounds import POSITION, SPEED, Box, admits, can_rest, increment_box
-from deltaq_controllers.modes.interface import Advance, Instant, TeleoperationMode
-from deltaq_controllers.modes.limitation import (
+from deltaq_controllers.modes.hands import Hands, HeldObject, displacement, kept_together_while_braked, turned
+from deltaq_controllers.modes.interface import (
+    Advance,
     Conditioning,
+    Instant,
     Limitation,
+    TeleoperationMode,
     of_conditioning,
     of_joint,
     of_pair,
     of_speed,
 )
 from deltaq_controllers.modes.motion import Motion
-from deltaq_controllers.modes.programme import Solution
+from deltaq_controllers.modes.programme import POSITION, SPEED, Box, Solution, admits, can_rest, increment_box
 from deltaq_controllers.surroundings.barriers import Barriers
 from deltaq_controllers.surroundings.neighbours import NearPairs
 from deltaq_controllers.surroundings.surroundings import Near

@@ -8,25 +8,87 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.compiled import compiled
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import ControllerError, LastIncrement, View
 from deltaq_controllers.limits import IncrementLimits
-from deltaq_controllers.modes.coupled import CoupledMode
-from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.held_object import HeldObject
-from deltaq_controllers.modes.interface import Instant, TeleoperationMode
-from deltaq_controllers.modes.limitation import Limitation, from_verdict, of_object
+from deltaq_controllers.modes.hand_modes import CoupledMode, DecoupledMode, SelfMotionMode
+from deltaq_controllers.modes.hands import Hands, HeldObject
+from deltaq_controllers.modes.interface import Instant, Limitation, TeleoperationMode, from_verdict, of_object
 from deltaq_controllers.modes.motion import HAND_AXES, Frame, Grip, ModeName, Motion, OperatorCommand
-from deltaq_controllers.modes.reflection import Reflection, share_of
-from deltaq_controllers.modes.resolved import DrivenTasks, ResolvedMode
-from deltaq_controllers.modes.self_motion import SelfMotionMode
-from deltaq_controllers.modes.stepped import SteppedMode
+from deltaq_controllers.modes.stepped import JointMode
 from deltaq_controllers.surroundings.surroundings import RobotSurroundings
-from deltaq_protocol.arrays import Array, Indices
-from deltaq_protocol.messages import Verdict
+from deltaq_protocol.arrays import Array
+from deltaq_protocol.messages import Outcome, Verdict
+
+# How much of what an operator asks for goes through, for the operator to see and to feel. Pure.
+
+
+SMOOTHED_S = 0.1
+"""Time constant with which the share follows: a single cycle is not felt [s]."""
+
+
+def share_of(asked: Motion, rates: Array, hands: Hands) -> float:
+    """The share of a motion's rates that joints at rates (n,) make along it, 0 to 1; 1 for no motion.
+
+    Args:
+        asked: the motion.
+        rates: (n,) of the joints [rad/s or m/s].
+        hands: of the robot, placed where it is.
+    """
+    if asked.along:
+        return float(rates.any())
+    return _share(asked.joints, asked.hands, rates, hands.units, hands.jacobian)
+
+
+@compiled
+def _share(joints: Array, twists: Array, rates: Array, units: Array, jacobian: Array) -> float:
+    """`share_of` for rates of joints (n,) and twists of hands (h, 6)."""
+    square, along = 0.0, 0.0
+    for joint in range(len(joints)):
+        square += joints[joint] ** 2
+        along += joints[joint] * rates[joint]
+    for row in range(len(units)):
+        wanted = units[row] * twists[row // 6, row % 6]
+        if wanted != 0.0:
+            made = 0.0
+            for joint in range(len(rates)):
+                made += jacobian[row, joint] * rates[joint]
+            square += wanted**2
+            along += wanted * units[row] * made
+    return min(1.0, max(0.0, along / square)) if square > 0.0 else 1.0
+
+
+class Reflection:
+    """The share that goes through the mode and the gate, while something limits the operator.
+
+    Args:
+        cycle_s: the robot's cycle [s].
+
+    Attributes:
+        share: from 0, nothing, to 1, all of it or nothing that limits.
+    """
+
+    def __init__(self, cycle_s: float) -> None:
+        self._follows = 1.0 - math.exp(-cycle_s / SMOOTHED_S)
+        self._admitted = 1.0
+        self.share = 1.0
+
+    def take(self, share: float, is_asked: bool, is_limited: bool) -> None:
+        """A cycle in which a fraction of the requested motion, if there is any, was requested of the gate.
+
+        Acceleration is not a limit: the fraction counts while a limit binds, in the mode or at the gate.
+        """
+        is_reflected = is_asked and (is_limited or self._admitted < 1.0)
+        now = share * self._admitted if is_reflected else 1.0
+        self.share += self._follows * (now - self.share)
+
+    def take_verdict(self, verdict: Verdict) -> None:
+        """Take the gate's verdict on it."""
+        is_whole = verdict.outcome is Outcome.ADMITTED
+        self._admitted = 1.0 if is_whole else max(0.0, min(1.0, verdict.scale))
+
 
 # What an operator commands, as a motion of the joints and hands that a mode drives.
 
@@ -76,71 +138,6 @@ def commanded(
 def _turned(axes: Array, twist: Array) -> Array:
     """A twist (6,) in axes (3, 3), in those of the world."""
     return np.concatenate([axes @ twist[:3], axes @ twist[3:]])
-
-
-# Decoupled Cartesian mode: base joints one by one, the six joints next to each hand by the hand's motion.
-
-
-class DecoupledMode(ResolvedMode):
-    """The classic mode of teleoperation (Hooper & Noakes, section II).
-
-    The tasks are the hands, carried along by the base joints, and the base joints. An object that the hands hold is
-    carried along by base joints that carry all of them; under the others it stays where it is.
-    """
-
-    name = ModeName.DECOUPLED
-    drives_hands = True
-
-    def __init__(self, robot: RobotModel) -> None:
-        super().__init__(robot)
-        self.drives_joints = np.logical_not(self._hands.arms.any(axis=0))
-        self._driven = np.flatnonzero(self.drives_joints)
-        self._carries_all = self.drives_joints & self._hands.moved_by.all(axis=0)
-
-    def _tasks(self, motion: Motion, held: HeldObject | None) -> DrivenTasks:
-        carries = self.drives_joints if held is None else self._carries_all
-        rows, rates = _carried(
-            self._units, self._hands.jacobian, motion.hands, motion.joints, self._driven, carries
-        )
-        return DrivenTasks(rows, rates)
-
-
-@compiled
-def _carried(
-    units: Array, jacobian: Array, twists: Array, joints: Array, driven: Indices, carries: NDArray[np.bool_]
-) -> tuple[Array, Array]:
-    """Rows and rates of the hands' twists (h, 6), which the joints that carry add to, and of the driven joints (m,)."""
-    tasks, n = jacobian.shape
-    rows, rates = np.zeros((tasks + len(driven), n)), np.empty(tasks + len(driven))
-    for row in range(tasks):
-        rates[row] = units[row] * twists[row // 6, row % 6]
-        for joint in range(n):
-            rows[row, joint] = units[row] * jacobian[row, joint]
-            if carries[joint]:
-                rates[row] += rows[row, joint] * joints[joint]
-    for place in range(len(driven)):
-        rows[tasks + place, driven[place]] = 1.0
-        rates[tasks + place] = joints[driven[place]]
-    return rows, rates
-
-
-# Joint mode: each joint by itself. It needs no inverse, so it works in every configuration.
-
-
-class JointMode(SteppedMode):
-    """Drives joints independently (Hooper & Noakes, section II); only their own limits bound it."""
-
-    name = ModeName.JOINT
-    drives_hands = False
-
-    def __init__(self, robot: RobotModel) -> None:
-        super().__init__(robot)
-        self.drives_joints = np.ones(robot.n, dtype=np.bool_)
-
-    def step(self, _q: Array, motion: Motion, time_s: float) -> Array:
-        """The displacement asked for."""
-        displacement: Array = motion.joints * time_s
-        return displacement
 
 
 ModeTable = Mapping[ModeName, Callable[[RobotModel], TeleoperationMode]]

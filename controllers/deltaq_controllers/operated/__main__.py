@@ -32,14 +32,14 @@ from deltaq_controllers.live import (
     model_of,
     robot_models,
 )
-from deltaq_controllers.live_teleoperator import teleoperator_for
 from deltaq_controllers.modes.practice import practise
 from deltaq_controllers.modes.teleoperator import Teleoperator
-from deltaq_controllers.operated.led import LedByWishes
 from deltaq_controllers.operated.pilot import Pilot
 from deltaq_controllers.operated.reach import ReachPlanner
 from deltaq_controllers.operated.shell import OperatedRobot
+from deltaq_controllers.operated.wishes import LedByWishes
 from deltaq_controllers.operator_input.master import looking_at
+from deltaq_controllers.teleoperation import teleoperator_for
 from deltaq_protocol import connect
 from deltaq_protocol.client import DEFAULT_ADDRESS, Cell
 from deltaq_protocol.driving import DriverMessage, DriverReport, DriverStage, DrivingMode

@@ -12,10 +12,8 @@ from deltaq_controllers.interface import ControllerError, View
 from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.motion import Frame, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
-from deltaq_controllers.operated.led import LedByWishes
-from deltaq_controllers.operated.reach import PlannedReach, ReachPlanner
-from deltaq_controllers.operated.ways import advisor_of, option_way, search_of
-from deltaq_controllers.operated.wishes import Wishes, check_grip, check_trade_off, is_rest
+from deltaq_controllers.operated.reach import PlannedReach, ReachPlanner, advisor_of, option_way, search_of
+from deltaq_controllers.operated.wishes import LedByWishes, Wishes, check_grip, check_trade_off, is_rest
 from deltaq_protocol import driving
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.driving import DriverReport, DriverStage, DriverWays, DrivingMode, Reach, Way, Wish

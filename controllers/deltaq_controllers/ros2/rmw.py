@@ -12,7 +12,7 @@ import struct
 from dataclasses import dataclass
 from typing import Self
 
-from deltaq_controllers.ros2.refusal import RefusedMessageError
+from deltaq_controllers.ros2.messages import RefusedMessageError, RosType
 from deltaq_protocol.errors import DeltaqError
 
 MAX_DOMAIN_ID = 232
@@ -27,20 +27,6 @@ _ATTACHMENT = struct.Struct(f"<qqB{_GID_BYTES}s")
 
 class RosNameError(DeltaqError):
     """A name or a number that ROS does not allow."""
-
-
-@dataclass(frozen=True, slots=True)
-class RosType:
-    """A message type: `package/msg/Name`, and its hash as REP 2016 has it."""
-
-    name: str
-    hash: str
-
-    @property
-    def dds_name(self) -> str:
-        """As DDS has it: `package::msg::dds_::Name_`."""
-        package, kind, name = self.name.split("/")
-        return f"{package}::{kind}::dds_::{name}_"
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,15 +17,14 @@ from deltaq_cell.description import CellDescription, Pose
 from deltaq_cell.structure import placement
 from deltaq_controllers.advisor.advisor import Option, Progress
 from deltaq_controllers.advisor.advisor import advise as advise_on
-from deltaq_controllers.advisor.answered import Answered
 from deltaq_controllers.advisor.exact import ExactClearance
 from deltaq_controllers.advisor.problem import AdvisorError, AdvisorProblem
-from deltaq_controllers.inverse.redundant import first_redundant
-from deltaq_controllers.inverse.tracking import ConstraintTracker
+from deltaq_controllers.advisor.session import Answered
+from deltaq_controllers.inverse.tracking import ConstraintTracker, first_redundant
 from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.motion import ModeName
 from deltaq_controllers.modes.teleoperator import Teleoperator
-from deltaq_controllers.operator_input.option import GoToOption
+from deltaq_controllers.operator_input.script import GoToOption
 from deltaq_controllers.statistics import ControlStatistics
 from deltaq_controllers.teleoperation import teleoperate
 from deltaq_deploy.launch.cell_connection import connect, known_robot

@@ -163,11 +163,9 @@ class _Choice:
         import asyncio
         from contextlib import ExitStack
 
-        from deltaq_controllers.live_teleoperator import teleoperator_for
         from deltaq_controllers.modes.motion import Frame, ModeName
-        from deltaq_controllers.signals import SignalLog
         from deltaq_controllers.statistics import ControlStatistics
-        from deltaq_controllers.teleoperation import DriveLog, teleoperate
+        from deltaq_controllers.teleoperation import DriveLog, SignalLog, teleoperate, teleoperator_for
         from deltaq_deploy.command.drive_display import Display, summary
         from deltaq_deploy.launch.cell_connection import OtherCellError
         from deltaq_protocol import connect

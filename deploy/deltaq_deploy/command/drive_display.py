@@ -15,9 +15,8 @@ if TYPE_CHECKING:
     from deltaq_controllers.advisor.advisor import Option
     from deltaq_controllers.modes.teleoperator import Teleoperator
     from deltaq_controllers.operator_input.interface import OperatorInput
-    from deltaq_controllers.signals import SignalLog
     from deltaq_controllers.statistics import ControlStatistics
-    from deltaq_controllers.teleoperation import DriveLog
+    from deltaq_controllers.teleoperation import DriveLog, SignalLog
 
 
 # The report of `deltaq drive` at its end.
