@@ -100,12 +100,10 @@ nightly: $(INSTALLED) ## the long proofs
 mutation: $(INSTALLED) ## change gate and guards in small ways, and see each change fail a test; takes a while
 	$(BIN)/python tests/mutation/judge_mutants.py $(JOBS) $(MODULES)
 
-docs: $(INSTALLED) ## write docs/reference, and in deploy compose files, systemd, foxglove and grafana, anew from the code
-	$(BIN)/python -m deltaq_deploy.command.reference
+docs: $(INSTALLED) ## write docs/reference, and in deploy compose files and systemd units, anew from the code
+	PYTHONPATH=tools $(BIN)/python -m reference_pages
 	$(BIN)/python -m deltaq_deploy.launch.compose
 	$(BIN)/python -m deltaq_deploy.launch.systemd
-	$(BIN)/python -m deltaq_deploy.foxglove
-	$(BIN)/python -m deltaq_deploy.grafana
 
 site: $(SITE) ## the documentation as a site, with search and the Python API, in build/site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet

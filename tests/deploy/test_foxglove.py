@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,28 +17,34 @@ from google.protobuf.descriptor import FieldDescriptor
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from deltaq_deploy.foxglove import CELL, FILE, layout_text
 from deltaq_protocol import topics
 from deltaq_protocol.messages import NearestPair, Proximity
 from deltaq_testing.recorded import RecordedCell, virtual_cell
 
 NUMBERS = {FieldDescriptor.CPPTYPE_DOUBLE, FieldDescriptor.CPPTYPE_INT64, FieldDescriptor.CPPTYPE_BOOL}
 STATES = {FieldDescriptor.CPPTYPE_ENUM, FieldDescriptor.CPPTYPE_STRING}
+FOLDER = Path(__file__).parents[2] / "deploy" / "foxglove"
 STEP = re.compile(r"(\w+)(?:\[(\d+)\])?")
 
 Messages = dict[str, list[Any]]
 
 
-@pytest.fixture(scope="module")
-def committed() -> dict[str, Any]:
-    return json.loads(FILE.read_text(encoding="utf-8"))  # type: ignore[no-any-return]
+@pytest.fixture(scope="module", params=["lab", "dawm"])
+def cell(request: pytest.FixtureRequest) -> str:
+    """Cells with a layout."""
+    return request.param  # type: ignore[no-any-return]
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Messages:
-    """Every message of a short run in which the gate limits both robots, by topic."""
+def committed(cell: str) -> dict[str, Any]:
+    return json.loads((FOLDER / f"{cell}.json").read_text(encoding="utf-8"))  # type: ignore[no-any-return]
+
+
+@pytest.fixture(scope="module")
+def recorded(cell: str, tmp_path_factory: pytest.TempPathFactory) -> Messages:
+    """Every message of a short run in which the gate limits all robots, by topic."""
     file = tmp_path_factory.mktemp("foxglove") / "run.mcap"
-    with virtual_cell("lab", record=file) as stack:
+    with virtual_cell(cell, record=file) as stack:
         assert isinstance(stack, RecordedCell)
         stack.run_until_ready()
         for name in stack.arms:
@@ -91,32 +98,30 @@ def panels_in(node: Any) -> Iterator[str]:
 @pytest.mark.parametrize(
     ("path", "told"),
     [
-        ("deltaq/other/fr/state.phase", "is not recorded"),
-        ("deltaq/lab/fr/state.angle", "has no field angle"),
-        ("deltaq/lab/fr/state.q[6]", "no recorded message has"),
-        ("deltaq/lab/fr/state.q", "state.q"),
+        ("deltaq/other/{robot}/state.phase", "is not recorded"),
+        ("deltaq/{cell}/{robot}/state.angle", "has no field angle"),
+        ("deltaq/{cell}/{robot}/state.q[99]", "no recorded message has"),
+        ("deltaq/{cell}/{robot}/state.q", "state.q"),
     ],
 )
-def test_a_path_that_no_recording_has_is_found_out(recorded: Messages, path: str, told: str) -> None:
+def test_a_path_that_no_recording_has_is_found_out(
+    cell: str, recorded: Messages, path: str, told: str
+) -> None:
     with pytest.raises(AssertionError, match=re.escape(told)):
-        resolve(path, recorded)
-
-
-def test_the_committed_layout_is_the_one_that_follows_from_the_cell() -> None:
-    assert FILE.read_text(encoding="utf-8") == layout_text(CELL), "make docs"
+        resolve(path.format(cell=cell, robot={"lab": "fr"}.get(cell, cell)), recorded)
 
 
 def test_every_field_is_in_a_recording_and_can_be_shown(
-    committed: dict[str, Any], recorded: Messages
+    cell: str, committed: dict[str, Any], recorded: Messages
 ) -> None:
-    count = 0
+    paths = []
     for panel, config in committed["configById"].items():
         for path in config.get("paths", ()):
             field = resolve(path["value"], recorded)
             shown = NUMBERS if panel.startswith("Plot!") else STATES
             assert field.cpp_type in shown, path
-            count += 1
-    assert count == 26
+            paths.append(path["value"])
+    assert len(paths) == len(set(paths)) == {"lab": 26, "dawm": 23}[cell]
 
 
 def test_the_view_shows_frames_that_a_recording_has(committed: dict[str, Any], recorded: Messages) -> None:

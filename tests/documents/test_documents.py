@@ -13,7 +13,7 @@ from packaging.specifiers import SpecifierSet
 from typer.testing import CliRunner
 
 from deltaq_deploy.command.app import app
-from deltaq_deploy.command.reference import FOLDER, PAGES, page
+from reference_pages import FOLDER, PAGES, page
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import json
+import re
 import socket
 import urllib.request
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from pathlib import Path
 
 import pytest
 from guarded_peer import GuardedPeer, guarded_peer
@@ -14,12 +17,13 @@ from json_client import json_client
 from prometheus_client.parser import text_string_to_metric_families
 from small_cell import small_cell, told, tool_pose
 
-from deltaq_deploy.grafana import FILE, dashboard, dashboard_text, queries
 from deltaq_protocol import topics
 from deltaq_protocol.client import connect
 from deltaq_services.hli.shell import Hli
 from deltaq_services.metrics.families import Delays
 from deltaq_services.metrics.shell import Exporter
+
+DASHBOARD = Path(__file__).parents[2] / "deploy" / "grafana" / "deltaq.json"
 
 Samples = dict[tuple[str, tuple[tuple[str, str], ...]], float]
 
@@ -210,7 +214,15 @@ def test_a_verdict_on_a_cycle_that_was_not_heard_has_no_delay() -> None:
     assert delays.verdict(6, 2.0) is None
 
 
-async def test_the_dashboard_asks_for_what_there_is_and_is_the_one_that_is_shipped() -> None:
+async def test_the_dashboard_asks_for_samples_that_the_exporter_has() -> None:
+    board = json.loads(DASHBOARD.read_text(encoding="utf-8"))
+    asked = {
+        name
+        for panel in board["panels"]
+        for target in panel["targets"]
+        for name in re.findall(r"deltaq_\w+", target["expr"])
+    }
+    assert len(board["panels"]) == 14
     async with (
         running() as (peer, reader),
         json_client(peer.cell.tcp_port) as rude,
@@ -230,5 +242,4 @@ async def test_the_dashboard_asks_for_what_there_is_and_is_the_one_that_is_shipp
             "deltaq_gate_reasons_total",
             "deltaq_clearance_metres",
         }
-        await reader.until(lambda read: set(queries(dashboard())) - {name for name, _ in read} <= silent)
-    assert FILE.read_text(encoding="utf-8") == dashboard_text(), "write it anew with `make docs`"
+        await reader.until(lambda read: asked - {name for name, _ in read} <= silent)

@@ -15,7 +15,6 @@ from gate_rig import Rig
 from small_cell import endpoint, server_state, small_cell, told, tool_pose
 from table import change_row
 
-from deltaq_deploy.command.reference import page
 from deltaq_deploy.command.streams import UnknownTopicError, open_stream
 from deltaq_protocol import topics
 from deltaq_protocol.access import access
@@ -36,6 +35,7 @@ from deltaq_services.hli.core import HliCore
 from deltaq_services.outputs import Sender, published
 from deltaq_services.rate_limit import Pace
 from deltaq_services.robot_server.guarded_link import GuardedLink
+from reference_pages import page
 
 NOW_S = 50.0
 

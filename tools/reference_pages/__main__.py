@@ -1,8 +1,8 @@
-"""Write all pages: `python -m deltaq_deploy.command.reference`."""
+"""Write all pages: `make docs`."""
 
 from __future__ import annotations
 
-from deltaq_deploy.command.reference import FOLDER, PAGES, page
+from reference_pages import FOLDER, PAGES, page
 
 
 def main() -> None:

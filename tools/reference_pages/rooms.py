@@ -6,7 +6,7 @@ import ast
 from importlib.util import find_spec
 from pathlib import Path
 
-from deltaq_deploy.command.reference.markdown import table
+from reference_pages.markdown import table
 
 ROOMS = (
     ("experiments", "the papers' experiments, reports of recordings, benchmarks, the Gymnasium environment"),

@@ -1,15 +1,32 @@
-"""Pages of what a robot and its controller go through, and of what a configuration is judged by."""
+"""Pages of a cell, its services and robots, gains, criteria, and the command."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+from inspect import getdoc
+from typing import Any
+
+import typer
+from typer.cli import get_docs_for_click
+
+from deltaq_cell import description
+from deltaq_cell.load import load_cell
+from deltaq_controllers.camera import gain_sources
+from deltaq_controllers.camera.clear_view import SightGains
+from deltaq_controllers.camera.escape.gains import EscapeGains
+from deltaq_controllers.camera.gain_sources import GainSource
+from deltaq_controllers.camera.gains import FollowerGains, Variants
+from deltaq_controllers.camera.qp_gains import QpGains
 from deltaq_controllers.criteria import TABLE as CRITERIA
-from deltaq_deploy.command.reference.markdown import bounds, default, table, texts_of_members, type_name
+from deltaq_deploy.command.app import app
+from deltaq_deploy.launch.services import cell_services, console_service, demo_controllers, recorder
 from deltaq_emulator import states as krc_states
 from deltaq_emulator.catalogue import TEXTS
 from deltaq_emulator.settings import KrcSettings
 from deltaq_protocol.messages import Phase
 from deltaq_services.phases import MAY_MOVE, TRANSITIONS, Event
 from deltaq_services.robot_server import session
+from reference_pages.markdown import bounds, default, fields, models, table, texts_of_members, type_name
 
 
 def phases() -> str:
@@ -130,3 +147,86 @@ def criteria() -> str:
         "at home, M_jj a_j. So `torque`, `relative_load` and `force` compare configurations, and say nothing "
         "of what a robot can carry.\n\n" + table(columns, rows)
     )
+
+
+def cell() -> str:
+    """The fields of a cell's file."""
+    head = (
+        "# Fields of a cell\n\nA cell is a YAML file with the fields of `CellDescription`; `deltaq check` says what is"
+        " wrong with one. Units are in the names of the fields."
+    )
+    return "\n\n".join(
+        [head, *(fields(model, level=2) for model in models(description, description.DescriptionModel))]
+    )
+
+
+def services() -> str:
+    """The services of the lab cell, as they are started."""
+    cell = load_cell("lab")
+    rows = (
+        (
+            f"`{service.name}`",
+            f"`python {' '.join(service.arguments)}`",
+            ", ".join(f"`{name}`" for name in service.needs),
+            ", ".join(f"{at.transport} {at.address}:{at.port}" for at in service.listens),
+            service.probe,
+        )
+        for service in (
+            *cell_services(cell, "lab"),
+            console_service(cell, "lab", cell_services(cell, "lab")),
+            *demo_controllers(cell),
+            recorder("lab", "run.mcap"),
+        )
+    )
+    return (
+        "# Services\n\nThe lab cell's, as `deltaq up` starts them; leader and follower belong to `deltaq demo`, the"
+        " console is left out by `--no-console`, the recorder belongs to `deltaq up --record`. Each"
+        " prints one line that begins with `ready:` once it serves.\n\n"
+        + table(("service", "command", "starts after", "listens on", "asked for health by"), rows)
+    )
+
+
+def cli() -> str:
+    """The command's help, as typer renders it."""
+    command = typer.main.get_command(app)
+    text = get_docs_for_click(
+        obj=command, ctx=typer.Context(command), name="deltaq", title="The deltaq command"
+    )
+    exits = (
+        "Exit status: 0 done, 1 the thing reported is bad, 2 wrong usage or configuration, 3 a service could not be"
+        " reached.\n\n**Usage**"
+    )
+    return text.replace("**Usage**", exits, 1)
+
+
+_HEAD = ("gain", "value", "unit", "stands in", "value chosen by")
+
+
+def gains() -> str:
+    """The tables of gains."""
+    variants = getdoc(Variants) or ""
+    return "\n\n".join(
+        [
+            "# Gains of the camera controllers",
+            " ".join((gain_sources.__doc__ or "").split("\n\n", 1)[1].split())
+            + " [What they do](../explanation/camera-follower.md).",
+            "## The paper's law",
+            "`FollowerGains`: `paper`, `predictive` and the variants as printed.",
+            table(_HEAD, _rows(FollowerGains(), gain_sources.FOLLOWER)),
+            " ".join(variants.split("\n\nAttributes:")[0].split("\n\n", 1)[1].split()),
+            "## The quadratic programme",
+            "`QpGains`: `qp`.",
+            table(_HEAD, _rows(QpGains(), gain_sources.QP)),
+            "## The line of sight",
+            "`SightGains`: `clear-view`, which has those of `qp` besides.",
+            table(_HEAD, _rows(SightGains(), gain_sources.SIGHT)),
+            "## The courses of an escape",
+            "`EscapeGains`: `escape`, which has those of `qp` besides.",
+            table(_HEAD, _rows(EscapeGains(), gain_sources.ESCAPE)),
+        ]
+    )
+
+
+def _rows(values: Any, sources: Mapping[str, GainSource]) -> Iterable[tuple[str, ...]]:
+    for name, value in values._asdict().items():
+        yield f"`{name}`", f"{value:.4g}", *sources[name]

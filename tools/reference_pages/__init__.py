@@ -1,4 +1,4 @@
-"""Writes `docs/reference` from the code: `python -m deltaq_deploy.command.reference`.
+"""Writes `docs/reference` from the code: `make docs`.
 
 Every page follows from a table or a model, so that none can fall behind; a test holds the committed pages.
 """
@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from deltaq_deploy.command.reference import gains, installation, robots, rooms, sequences, testing, wire
+from reference_pages import robots, rooms, sequences, testing, wire
 
-FOLDER = Path(__file__).parents[4] / "docs" / "reference"
+FOLDER = Path(__file__).parents[2] / "docs" / "reference"
 _WRITTEN = "<!-- Written by `make docs` from the code; do not edit. -->\n\n"
 
 
@@ -23,10 +23,10 @@ PAGES = {
     "krc.md": robots.krc,
     "rsi-sessions.md": robots.sessions,
     "criteria.md": robots.criteria,
-    "gains.md": gains.gains,
-    "cell.md": installation.cell,
-    "services.md": installation.services,
-    "cli.md": installation.cli,
+    "gains.md": robots.gains,
+    "cell.md": robots.cell,
+    "services.md": robots.services,
+    "cli.md": robots.cli,
     "testing.md": testing.testing,
     "rooms.md": rooms.rooms,
     "sequences.md": sequences.sequences,

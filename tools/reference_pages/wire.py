@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from deltaq_deploy.command.reference.markdown import fields, message_link, models, table
 from deltaq_protocol import audit, guarded
 from deltaq_protocol import messages as open_messages
 from deltaq_protocol import sayings as table_of_sayings
@@ -12,6 +11,7 @@ from deltaq_protocol.messages import Message
 from deltaq_protocol.reasons import EXPLANATIONS
 from deltaq_protocol.topic import Realm
 from deltaq_services.counters import COUNTERS
+from reference_pages.markdown import fields, message_link, models, table
 
 
 def topics() -> str:

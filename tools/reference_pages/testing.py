@@ -6,7 +6,6 @@ import inspect
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from deltaq_deploy.command.reference.markdown import fields, table
 from deltaq_testing import plugin, schedule, strategies
 from deltaq_testing.finding import JointTrackingError, RunFinding
 from deltaq_testing.observed import Observed
@@ -19,6 +18,7 @@ from deltaq_testing.scenario.model import (
     Tracking,
 )
 from deltaq_testing.virtual import CellUnderTest
+from reference_pages.markdown import fields, table
 
 _INTRODUCTION = (
     "[Find the bug in a controller](../tutorial/find-the-bug.md) is the tutorial, [test a controller of your own]"
