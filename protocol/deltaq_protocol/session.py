@@ -62,6 +62,7 @@ def open_session(
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "scouting/delay": 0,  # no scouting, so no peer to wait for
+        "transport/shared_memory/enabled": False,  # our messages are too short for it, and it wants locked memory
         "transport/link/tx/lease": LINK_LEASE_MS,
         "transport/link/tx/queue/size/real_time": _WAITING_TO_BE_SENT,
         "transport/link/rx/max_message_size": MAX_ZENOH_MESSAGE_BYTES,

@@ -58,7 +58,7 @@ NOT_RUN = {
     "observe.md": ["needs Prometheus", "needs Prometheus", "a line of a log; tests/protocol/test_log.py"],
     "containers.md": [
         "needs a container engine; tests/deploy/launch/test_containers.py",
-        "needs a container engine; tests/deploy/launch/test_containers.py",
+        *["needs a container engine; tests/deploy/launch/test_containers.py"] * 2,
         "needs a container engine; tests/deploy/launch/test_compose.py",
         "needs a container engine; tests/deploy/launch/test_containers.py",
     ],

@@ -18,7 +18,7 @@ from contained import Container, is_allowed, may_be_real_time
 from networks import why_none
 
 from deltaq_cell.load import load_cell
-from deltaq_deploy.launch.compose import ADDRESS, KEY_MAKER, compose_document
+from deltaq_deploy.launch.compose import ADDRESS, KEY_MAKER, compose_document, real_time_document
 from deltaq_deploy.launch.container import USER
 from deltaq_deploy.launch.resources import RESOURCES
 from deltaq_deploy.launch.services import cell_services, console_service
@@ -68,6 +68,8 @@ class Stack:
 
     def __init__(self, folder: Path) -> None:
         self.document: dict[str, Any] = compose_document()
+        for name, more in real_time_document()["services"].items():
+            self.document["services"][name] |= more
         self.volumes = {name: folder / name for name in self.document["volumes"]}
         for volume in self.volumes.values():
             # as a new volume takes over owner and mode from the image

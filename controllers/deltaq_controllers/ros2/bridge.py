@@ -131,6 +131,7 @@ def _opened(endpoint: str) -> Any:
         "connect/exit_on_failure": True,
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
+        "transport/shared_memory/enabled": False,
         "transport/link/rx/max_message_size": 2
         * MAX_MESSAGE_BYTES,  # a message that is too long gets an answer
     }.items():

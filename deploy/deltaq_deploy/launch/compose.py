@@ -1,4 +1,4 @@
-"""Writes `deploy/compose.yaml` and `deploy/compose.tokens.yaml` from the table of services: `make docs`.
+"""Writes `deploy/compose.yaml` and what may be put on it from the table of services: `make docs`.
 
 `python -m deltaq_deploy.launch.compose CELL` prints the file of another cell, by its name or path, with all in one.
 """
@@ -16,7 +16,7 @@ from deltaq_cell.description import CellDescription
 from deltaq_cell.find import find_cell
 from deltaq_cell.load import load_cell
 from deltaq_cell.open_realm import is_loopback
-from deltaq_deploy.launch.container import HARDENED, container
+from deltaq_deploy.launch.container import HARDENED, container, real_time
 from deltaq_deploy.launch.services import (
     GUARDED_ROLES,
     Role,
@@ -39,6 +39,7 @@ from deltaq_services.process import AUDIT_FILE
 DEPLOY = Path(__file__).parents[3] / "deploy"
 FILE = DEPLOY / "compose.yaml"
 TOKENS_FILE = DEPLOY / "compose.tokens.yaml"
+REAL_TIME_FILE = DEPLOY / "realtime.yaml"
 CELL = "lab"
 HEADER = """\
 # The lab cell in containers: the services of `deltaq up`, with `--profile demo` the controllers of `deltaq demo`,
@@ -51,6 +52,12 @@ TOKENS_HEADER = """\
 # Tokens for the lab cell in containers, as secrets. Written by `make docs`; do not edit.
 #
 #   docker compose -f deploy/compose.yaml -f deploy/compose.tokens.yaml up --wait
+"""
+REAL_TIME_HEADER = """\
+# Real-time priority for the lab cell in containers, on an engine that may raise limits. Written by `make docs`; do not
+# edit.
+#
+#   docker compose -f deploy/compose.yaml -f deploy/realtime.yaml up --wait
 """
 
 KEY_MAKER = "guarded-key"
@@ -137,6 +144,13 @@ def tokens_document(cell_name: str = CELL) -> dict[str, Any]:
     return {"services": document, "secrets": given}
 
 
+def real_time_document(cell_name: str = CELL) -> dict[str, Any]:
+    """What another compose file adds: the limit with which a service may ask for real-time priority."""
+    cell = load_cell(cell_name)
+    everybody = (*_services(cell, cell_name), *demo_controllers(cell))
+    return {"services": {one.name: real_time(one) for one in everybody if real_time(one)}}
+
+
 def compose_text(cell_name: str = CELL) -> str:
     """The compose document as YAML, with its header."""
     return HEADER + _yaml(compose_document(cell_name))
@@ -145,6 +159,11 @@ def compose_text(cell_name: str = CELL) -> str:
 def tokens_text() -> str:
     """The document of the tokens as YAML, with its header."""
     return TOKENS_HEADER + _yaml(tokens_document())
+
+
+def real_time_text(cell_name: str = CELL) -> str:
+    """The document of real-time priority as YAML, with its header."""
+    return REAL_TIME_HEADER + _yaml(real_time_document(cell_name))
 
 
 def _services(cell: CellDescription, cell_name: str) -> tuple[Service, ...]:
@@ -221,13 +240,16 @@ def main(argv: Sequence[str] | None = None) -> None:
         prog="python -m deltaq_deploy.launch.compose", description="compose file of a cell"
     )
     parser.add_argument("cell", nargs="?", help="name or YAML file of the cell, whose document is printed")
+    parser.add_argument("--real-time", action="store_true", help="print what adds real-time priority to it")
     given = parser.parse_args(argv)
     if given.cell is None:
         FILE.write_text(compose_text(), encoding="utf-8")
         TOKENS_FILE.write_text(tokens_text(), encoding="utf-8")
+        REAL_TIME_FILE.write_text(real_time_text(), encoding="utf-8")
         return
     try:
-        print(compose_text(str(find_cell(given.cell).resolve())), end="")
+        cell = str(find_cell(given.cell).resolve())
+        print(real_time_text(cell) if given.real_time else compose_text(cell), end="")
     except DeltaqError as error:
         parser.error(str(error))
 

@@ -51,26 +51,29 @@ def container(service: Service, cell_name: str) -> dict[str, Any]:
         found["environment"][HEALTH_FILE] = _HEALTH
         found["healthcheck"] = {
             "test": ["CMD", "healthy", _HEALTH],
-            "interval": "10s",
+            # what waits for a healthy service waits for the next look: engines before 25 know no start_interval
+            "interval": "5s",
             "timeout": "5s",
             "retries": 3,
             "start_period": "120s",
-            "start_interval": "1s",
         }
     return found
 
 
+def real_time(service: Service) -> dict[str, Any]:
+    """The limit with which a container may ask for real-time priority; empty for a service that never asks.
+
+    Not part of a container, since an engine without the rights of root cannot raise a limit and starts nothing then.
+    """
+    priority = int(RESOURCES[service.role].real_time)  # a number, not its name
+    return {"ulimits": {"rtprio": priority}} if priority else {}
+
+
 def _limits(role: Role) -> dict[str, Any]:
     resources = RESOURCES[role]
-    limits: dict[str, Any] = {
+    return {
         "mem_limit": f"{resources.memory_mb}m",
         "memswap_limit": f"{resources.memory_mb}m",  # no swap: a cycle does not wait for a disk
         "pids_limit": resources.tasks,
         "cpus": resources.cores,
-        # zenoh locks what it shares, and a session that may not does not open
-        "ulimits": {"memlock": resources.memory_mb * 2**20},
     }
-    if resources.real_time:
-        # instead of a capability, which a process without root would not have
-        limits["ulimits"]["rtprio"] = int(resources.real_time)  # a number, not its name
-    return limits

@@ -15,10 +15,13 @@ from deltaq_deploy.launch.compose import (
     ADDRESS,
     FILE,
     KEY_MAKER,
+    REAL_TIME_FILE,
     TOKENS_FILE,
     compose_document,
     compose_text,
     main,
+    real_time_document,
+    real_time_text,
     tokens_document,
     tokens_text,
 )
@@ -36,6 +39,7 @@ def containers() -> dict[str, Any]:
 def test_the_committed_file_is_what_the_table_of_services_gives() -> None:
     assert FILE.read_text(encoding="utf-8") == compose_text(), "write it anew with `make docs`"
     assert TOKENS_FILE.read_text(encoding="utf-8") == tokens_text(), "write it anew with `make docs`"
+    assert REAL_TIME_FILE.read_text(encoding="utf-8") == real_time_text(), "write it anew with `make docs`"
 
 
 def validate(file: str) -> subprocess.CompletedProcess[str]:
@@ -45,7 +49,7 @@ def validate(file: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.long
 def test_the_file_follows_the_compose_specification() -> None:
-    for file in (FILE, TOKENS_FILE):
+    for file in (FILE, TOKENS_FILE, REAL_TIME_FILE):
         checked = validate(str(file))
         assert checked.returncode == 0, checked.stdout
 
@@ -150,14 +154,14 @@ def test_every_container_has_limits_and_none_swaps(containers: dict[str, Any]) -
             assert container["cpus"] > 0
 
 
-def test_controllers_and_what_lies_between_them_and_the_motors_may_ask_for_real_time_priority(
-    containers: dict[str, Any],
-) -> None:
-    limits = {
-        name: one["ulimits"]["rtprio"]
-        for name, one in containers.items()
-        if "rtprio" in one.get("ulimits", {})
-    }
+def test_nothing_is_asked_of_an_engine_that_old_or_rootless_ones_refuse(containers: dict[str, Any]) -> None:
+    for container in containers.values():
+        assert "ulimits" not in container
+        assert "start_interval" not in container.get("healthcheck", {})
+
+
+def test_controllers_and_what_lies_between_them_and_the_motors_may_ask_for_real_time_priority() -> None:
+    limits = {name: one["ulimits"]["rtprio"] for name, one in real_time_document()["services"].items()}
     assert limits == {
         "robot-server-fr": 20,
         "emulator-fr": 5,
