@@ -7,7 +7,7 @@ from deltaq_protocol import messages
 
 
 def robot_summary(description: RobotDescription, cycle_s: float) -> messages.RobotSummary:
-    """Names, units and limits of one robot in joint order; `max_increment` is the largest step of one cycle."""
+    """Names, units, limits and home of one robot in joint order; `max_increment` is the largest step of one cycle."""
     return messages.RobotSummary(
         joints=description.joint_names,
         units=description.units,
@@ -16,4 +16,5 @@ def robot_summary(description: RobotDescription, cycle_s: float) -> messages.Rob
         max_velocity=tuple(description.max_velocity.tolist()),
         max_acceleration=tuple(description.max_acceleration.tolist()),
         max_increment=tuple((description.max_velocity * cycle_s).tolist()),
+        home=tuple(description.home.tolist()),
     )

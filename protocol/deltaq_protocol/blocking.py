@@ -47,6 +47,7 @@ from deltaq_protocol.subscriptions import SILENCE_S
 # An event loop in a separate thread, for callers that have none.
 
 T = TypeVar("T")
+T_co = TypeVar("T_co", covariant=True)
 
 THREAD_NAME = "deltaq client"
 
@@ -120,7 +121,7 @@ class Background:
         self._loop.close()
 
 
-class BlockingOpening(AbstractContextManager[T]):
+class BlockingOpening(AbstractContextManager[T_co]):
     """A context manager with `open` and `close` as well, for notebooks; it opens once.
 
     If it is not closed, it closes when the interpreter ends.
@@ -129,11 +130,11 @@ class BlockingOpening(AbstractContextManager[T]):
         manager: opens and closes.
     """
 
-    def __init__(self, manager: AbstractContextManager[T]) -> None:
+    def __init__(self, manager: AbstractContextManager[T_co]) -> None:
         self._manager = manager
         self._is_open = False
 
-    def open(self) -> T:
+    def open(self) -> T_co:
         """Open, as entering the block does."""
         value = self._manager.__enter__()
         self._is_open = True
@@ -144,7 +145,7 @@ class BlockingOpening(AbstractContextManager[T]):
         """Close, as leaving the block does; nothing happens if it is not open."""
         self.__exit__(None, None, None)
 
-    def __enter__(self) -> T:
+    def __enter__(self) -> T_co:
         return self.open()
 
     def __exit__(
@@ -323,10 +324,21 @@ def connect(
     See `deltaq_protocol.client.connect`. A script that lets the error of a cell that does not answer pass ends with
     that error in one line, unless it has an exception hook of its own.
     """
+    return connected(asynchronous.connect(address, client, token, identity), BlockingCell)
+
+
+C = TypeVar("C", bound=BlockingCell)
+
+
+def connected(
+    connection: AbstractAsyncContextManager[asynchronous.Cell],
+    cell_class: Callable[[asynchronous.Cell, Background, Callable[[], None]], C],
+) -> BlockingOpening[C]:
+    """A connection for asyncio as one for scripts; `cell_class` makes the cell of it."""
     if sys.excepthook is sys.__excepthook__:
         sys.excepthook = _in_one_line
-    opening: BlockingOpening[BlockingCell] = BlockingOpening(
-        _connected(address, client, token, identity, close=lambda: opening.close())
+    opening: BlockingOpening[C] = BlockingOpening(
+        _connected(connection, cell_class, close=lambda: opening.close())
     )
     return opening
 
@@ -340,15 +352,13 @@ def _in_one_line(kind: type[BaseException], error: BaseException, trace: Traceba
 
 @contextmanager
 def _connected(
-    address: str,
-    client: str,
-    token: str | None,
-    identity: str | os.PathLike[str] | None,
+    connection: AbstractAsyncContextManager[asynchronous.Cell],
+    cell_class: Callable[[asynchronous.Cell, Background, Callable[[], None]], C],
     close: Callable[[], None],
-) -> Iterator[BlockingCell]:
+) -> Iterator[C]:
     background = Background()
     try:
-        with background.entered(asynchronous.connect(address, client, token, identity)) as cell:
-            yield BlockingCell(cell, background, close)
+        with background.entered(connection) as cell:
+            yield cell_class(cell, background, close)
     finally:
         background.close()

@@ -23,6 +23,7 @@ import time
 from collections import Counter
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
+from typing import TypeVar
 
 import msgpack
 import numpy as np
@@ -353,18 +354,36 @@ def connect(
         ServiceUnreachableError: no HLI answers at the address.
         RefusedError: `protocol_version`, if the server speaks another version.
     """
-    return Opening(_connected(address, client, role_prover(token, identity), identity))
+    return connected(Cell, address, client, token, identity)
+
+
+C = TypeVar("C", bound=Cell)
+
+
+def connected(
+    cell_class: type[C],
+    address: str,
+    client: str,
+    token: str | None = None,
+    identity: str | os.PathLike[str] | None = None,
+) -> Opening[C]:
+    """`connect` with a cell of another class."""
+    return Opening(_connected(cell_class, address, client, role_prover(token, identity), identity))
 
 
 @asynccontextmanager
 async def _connected(
-    address: str, client: str, role: RoleProver | None, identity: str | os.PathLike[str] | None
-) -> AsyncIterator[Cell]:
+    cell_class: type[C],
+    address: str,
+    client: str,
+    role: RoleProver | None,
+    identity: str | os.PathLike[str] | None,
+) -> AsyncIterator[C]:
     tls = client_tls(address, identity)
     session = await asyncio.to_thread(open_session, connect=[address], must_connect=True, tls=tls)
     wire = Wire(session, asyncio.get_running_loop())
     try:
-        cell = Cell(wire, await described(wire, address), client, role)
+        cell = cell_class(wire, await described(wire, address), client, role)
     except BaseException:
         await asyncio.to_thread(wire.close)
         raise

@@ -31,7 +31,7 @@ class DescribeRequest(Message):
 
 
 class RobotSummary(Message):
-    """Summary of a robot for a controller: names, units and limits in joint order, SI units."""
+    """Summary of a robot for a controller: names, units, limits and home in joint order, SI units."""
 
     joints: tuple[str, ...]
     units: tuple[Literal["rad", "m"], ...]
@@ -40,6 +40,7 @@ class RobotSummary(Message):
     max_velocity: Joints
     max_acceleration: Joints
     max_increment: Joints
+    home: Joints = ()
 
 
 class Welcome(Message):

@@ -1,0 +1,192 @@
+"""A motion along a path of configurations, as increments: speeds up, goes on, and slows down within a robot's limits.
+
+Pure: setpoints go in, increments come out. The gate still judges each of them.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from deltaq_protocol.arrays import Array
+from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.messages import Outcome, Reason, RobotState, RobotSummary, Verdict
+from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
+
+_STRAIGHT = 0.7
+"""Share of a joint's acceleration that is used along the path; the rest is left for what the setpoints lag behind."""
+_CURVED = 0.2
+"""Share of a joint's acceleration that is used for the path's curvature."""
+_PATIENCE_S = 0.5
+"""A motion that the gate keeps in its place for so long has failed [s]."""
+_ARRIVED = 1e-9
+"""Distance to the end of the path, which has the length 1, at which the end is reached."""
+_PASSING = (
+    *(ReasonCode.STALE_CYCLE, ReasonCode.FUTURE_CYCLE, ReasonCode.SUPERSEDED, ReasonCode.LATE),
+    *(ReasonCode.NOT_READY, ReasonCode.LEASE_NOT_HELD),
+)
+"""Reasons for which one increment is refused and the next may pass."""
+
+
+class MotionError(DeltaqError):
+    """A motion that was refused, limited or held on its way.
+
+    Attributes:
+        code: the reason, one of `deltaq_protocol.reasons.ReasonCode`; empty if no verdict gave one.
+        what: the joint or the pair of bodies that it is about.
+        value: what was asked for [rad, m or their rates], where the reason has one.
+        bound: what is allowed, in the unit of `value`.
+    """
+
+    def __init__(self, message: str, reason: Reason | None = None) -> None:
+        self.code = "" if reason is None else reason.code.value
+        self.what = "" if reason is None else reason.what
+        self.value = None if reason is None else reason.value
+        self.bound = None if reason is None else reason.bound
+        super().__init__(message)
+
+
+def checked(robot: str, verdict: Verdict) -> Verdict:
+    """The verdict, if the increment was admitted as it was asked for.
+
+    Raises:
+        MotionError: it was limited, held or refused, or no verdict came.
+    """
+    if verdict.outcome is Outcome.ADMITTED:
+        return verdict
+    reason = verdict.reasons[0] if verdict.reasons else None
+    raise MotionError(f"{robot}: increment {verdict.outcome.value}{told(reason)}", reason)
+
+
+def held(state: RobotState) -> MotionError:
+    """The error of a robot that is held."""
+    reason = None if state.reason is None else Reason(code=state.reason)
+    remedy = f"; when the cause is gone and it is safe, `deltaq reset --robot {state.robot}`"
+    return MotionError(f"{state.robot} is held{told(reason)}{remedy}", reason)
+
+
+def told(reason: Reason | None) -> str:
+    """A reason in words, with its value and bound."""
+    if reason is None:
+        return ""
+    of = f" of {reason.what}" if reason.what else ""
+    value = "" if reason.value is None else f" {reason.value:.4g}"
+    bound = "" if reason.bound is None else f" (bound {reason.bound:.4g})"
+    return f": {reason.code.value}{of}{value}{bound}, {EXPLANATIONS[reason.code]}"
+
+
+def joint_path(robot: str, summary: RobotSummary, start: Array, target: Array) -> Array:
+    """The straight line in joint space from `start` to `target`, both (n,) [rad or m], as a path (2, n).
+
+    Raises:
+        ValueError: the target has another length, is not finite, or lies beyond a joint's limit.
+    """
+    if target.shape != start.shape:
+        raise ValueError(f"{robot} has {len(start)} joints, the target has the shape {target.shape}")
+    for index, name in enumerate(summary.joints):
+        lower, upper, unit = summary.lower[index], summary.upper[index], summary.units[index]
+        if not lower <= target[index] <= upper:
+            raise ValueError(
+                f"target of joint {name}: {target[index]:.6g} {unit} is not from {lower:.6g} to {upper:.6g}"
+            )
+    return np.stack([start, target])
+
+
+class Motion:
+    """One motion of a robot along a path.
+
+    Args:
+        robot: name of the robot.
+        path: (m + 1, n) configurations at equal steps of the path's length, m >= 1 [rad or m].
+        summary: the robot's limits.
+        cycle_s: of the robot [s].
+        speed: share of each joint's greatest velocity that the motion may use, above 0, at most 1.
+
+    Raises:
+        ValueError: the speed is out of its range.
+    """
+
+    def __init__(
+        self, robot: str, path: Array, summary: RobotSummary, cycle_s: float, speed: float = 0.2
+    ) -> None:
+        if not 0.0 < speed <= 1.0:
+            raise ValueError(
+                f"speed: {speed:.6g} is not above 0 and at most 1 (share of the joints' velocities)"
+            )
+        self._robot, self._path = robot, path
+        segments = len(path) - 1
+        velocity = np.maximum(np.abs(np.diff(path, axis=0)).max(axis=0) * segments, 1e-12)
+        bend = np.zeros_like(velocity)
+        if segments > 1:
+            bend = np.abs(np.diff(path, 2, axis=0)).max(axis=0) * segments**2
+        fastest = speed * np.array(summary.max_velocity) / velocity
+        acceleration = np.array(summary.max_acceleration)
+        curved = np.sqrt(_CURVED * acceleration / np.maximum(bend, 1e-12))
+        self._most = float(min(fastest.min(), curved.min())) * cycle_s
+        self._step = float((_STRAIGHT * acceleration / velocity).min()) * cycle_s**2
+        self._patience_cycles = max(2, round(_PATIENCE_S / cycle_s))
+        self._at, self._pace, self._cycle = 0.0, 0.0, -1
+        self._stood = 0
+        self._reason: Reason | None = None
+
+    def take(self, verdict: Verdict) -> None:
+        """A verdict on one of its increments has come.
+
+        Raises:
+            MotionError: it was refused for a reason that does not pass.
+        """
+        if verdict.reasons:
+            self._reason = verdict.reasons[0]
+            if verdict.outcome is Outcome.REFUSED and self._reason.code not in _PASSING:
+                checked(self._robot, verdict)
+
+    def increment(self, cycle: int, q_cmd: Array) -> Array | None:
+        """The increment (n,) after the setpoint `q_cmd` (n,) of a cycle; None when that is the path's end [rad or m].
+
+        Raises:
+            MotionError: the robot has not come forward for half a second.
+        """
+        place = self._place(q_cmd)
+        cycles = max(1, cycle - self._cycle) if self._cycle >= 0 else 1
+        self._pace = min(self._pace, max(0.0, place - self._at) / cycles + self._step)
+        self._stood = self._stood + cycles if place <= self._at and self._cycle >= 0 else 0
+        self._at, self._cycle = place, cycle
+        if self._stood > self._patience_cycles:
+            raise MotionError(
+                f"{self._robot} stands {1.0 - place:.0%} of its way before the target{told(self._reason)}",
+                self._reason,
+            )
+        left = 1.0 - place
+        if left <= _ARRIVED:
+            return None
+        # the greatest pace from which it can slow down before the end: pace + pace**2 / (2 step) - pace / 2 <= left
+        slowing = self._step * (math.sqrt(0.25 + 2.0 * left / self._step) - 0.5)
+        self._pace = min(self._pace + self._step, self._most, slowing, left)
+        dq: Array = self._point(place + self._pace) - q_cmd
+        return dq
+
+    def _point(self, place: float) -> Array:
+        """The configuration at a place of the path, from 0 to 1."""
+        if place >= 1.0 - _ARRIVED:
+            end: Array = self._path[-1]
+            return end
+        segment, rest = divmod(place * (len(self._path) - 1), 1.0)
+        before, after = self._path[int(segment)], self._path[int(segment) + 1]
+        point: Array = before + rest * (after - before)
+        return point
+
+    def _place(self, q_cmd: Array) -> float:
+        """The place of the path that is nearest to a setpoint, not before the last one."""
+        segments = len(self._path) - 1
+        first = min(int(self._at * segments), segments - 1)
+        best, nearest = self._at, math.inf
+        for segment in range(first, min(first + 8, segments)):
+            along = self._path[segment + 1] - self._path[segment]
+            length = float(along @ along)
+            rest = 0.0 if length == 0.0 else float((q_cmd - self._path[segment]) @ along) / length
+            rest = min(1.0, max(0.0, rest))
+            off = float(np.abs(self._path[segment] + rest * along - q_cmd).max())
+            if off < nearest - 1e-12:
+                best, nearest = (segment + rest) / segments, off
+        return max(self._at, best)
