@@ -20,6 +20,7 @@ from deltaq_controllers.answers import Answers, own_view, view_ahead
 from deltaq_controllers.interface import Controller
 from deltaq_protocol import client
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_protocol.in_flight import InFlight, is_awaited
 from deltaq_protocol.leased_robot import LeasedRobot
 from deltaq_protocol.messages import IoReply, Phase, RobotState, RobotSummary, Verdict
@@ -50,7 +51,7 @@ class Robot:
         """The newest measured configuration (n,) [rad or m].
 
         Raises:
-            MotionError: no state has come yet.
+            ServiceUnreachableError: no state has come yet.
         """
         return np.array(self._newest().q)
 
@@ -59,7 +60,7 @@ class Robot:
         """`T_world_tool` (4, 4) at the newest measured configuration [m].
 
         Raises:
-            MotionError: no state has come yet.
+            ServiceUnreachableError: no state has come yet.
         """
         return self._tool().pose(self.q)
 
@@ -121,8 +122,8 @@ class Robot:
             axes: of the world, or of the tool.
 
         Raises:
-            ValueError: a displacement is not finite, or the speed out of its bounds.
-            MotionError: the tool cannot go there, or the gate limited or held it on its way.
+            ValueError: the tool cannot go there, a displacement is not finite, or the speed out of its bounds.
+            MotionError: the gate limited or held it on its way.
         """
         way = np.array([dx, dy, dz], dtype=np.float64)
         if not np.isfinite(way).all():
@@ -182,12 +183,12 @@ class Robot:
                 motion.take(last)
             else:
                 in_flight.sent(await self.leased.send(dq, state.cycle), dq, state.cycle)
-        raise MotionError(f"{self.name}: its states ended")
+        raise ServiceUnreachableError(f"{self.name}: its states have ended")
 
     def _newest(self) -> RobotState:
         state = self.leased.state
         if state is None:
-            raise MotionError(f"{self.name}: no state has come yet; is the robot on?")
+            raise ServiceUnreachableError(f"{self.name}: no state has come yet; is the robot on?")
         return state
 
     def _tool(self) -> Tool:

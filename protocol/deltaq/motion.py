@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.errors import RefusedError
 from deltaq_protocol.messages import Outcome, Reason, RobotState, RobotSummary, Verdict
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 
@@ -29,22 +29,20 @@ _PASSING = (
 """Reasons for which one increment is refused and the next may pass."""
 
 
-class MotionError(DeltaqError):
-    """A motion that was refused, limited or held on its way.
+class MotionError(RefusedError):
+    """A motion that was limited, held or refused on its way.
 
     Attributes:
-        code: the reason, one of `deltaq_protocol.reasons.ReasonCode`; empty if no verdict gave one.
+        code: the reason, one of `deltaq_protocol.reasons.ReasonCode`.
         what: the joint or the pair of bodies that it is about.
         value: what was asked for [rad, m or their rates], where the reason has one.
         bound: what is allowed, in the unit of `value`.
     """
 
-    def __init__(self, message: str, reason: Reason | None = None) -> None:
-        self.code = "" if reason is None else reason.code.value
-        self.what = "" if reason is None else reason.what
-        self.value = None if reason is None else reason.value
-        self.bound = None if reason is None else reason.bound
-        super().__init__(message)
+    def __init__(self, message: str, reason: Reason | None, hint: str = "") -> None:
+        reason = reason or Reason(code=ReasonCode.UNREACHABLE)  # no verdict and no state said why
+        self.what, self.value, self.bound = reason.what, reason.value, reason.bound
+        super().__init__(reason.code.value, f"{message}: {_told(reason)}", hint)
 
 
 def checked(robot: str, verdict: Verdict) -> Verdict:
@@ -56,24 +54,20 @@ def checked(robot: str, verdict: Verdict) -> Verdict:
     if verdict.outcome is Outcome.ADMITTED:
         return verdict
     reason = verdict.reasons[0] if verdict.reasons else None
-    raise MotionError(f"{robot}: increment {verdict.outcome.value}{told(reason)}", reason)
+    raise MotionError(f"the increment of {robot} was {verdict.outcome.value}", reason)
 
 
 def held(state: RobotState) -> MotionError:
     """The error of a robot that is held."""
     reason = None if state.reason is None else Reason(code=state.reason)
-    remedy = f"; when the cause is gone and it is safe, `deltaq reset --robot {state.robot}`"
-    return MotionError(f"{state.robot} is held{told(reason)}{remedy}", reason)
+    remedy = f"when the cause is gone and it is safe, `deltaq reset --robot {state.robot}`"
+    return MotionError(f"{state.robot} is held", reason, remedy)
 
 
-def told(reason: Reason | None) -> str:
-    """A reason in words, with its value and bound."""
-    if reason is None:
-        return ""
-    of = f" of {reason.what}" if reason.what else ""
+def _told(reason: Reason) -> str:
     value = "" if reason.value is None else f" {reason.value:.4g}"
     bound = "" if reason.bound is None else f" (bound {reason.bound:.4g})"
-    return f": {reason.code.value}{of}{value}{bound}, {EXPLANATIONS[reason.code]}"
+    return f"{reason.what}{value}{bound}, {EXPLANATIONS[reason.code]}".lstrip(" ,")
 
 
 def joint_path(robot: str, summary: RobotSummary, start: Array, target: Array) -> Array:
@@ -154,8 +148,7 @@ class Motion:
         self._at, self._cycle = place, cycle
         if self._stood > self._patience_cycles:
             raise MotionError(
-                f"{self._robot} stands {1.0 - place:.0%} of its way before the target{told(self._reason)}",
-                self._reason,
+                f"{self._robot} stands {1.0 - place:.0%} of its way before the target", self._reason
             )
         left = 1.0 - place
         if left <= _ARRIVED:

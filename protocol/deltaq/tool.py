@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from deltaq.motion import MotionError
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import RobotKinematics, RobotSummary
 
@@ -64,7 +63,7 @@ class Tool:
             way: (3,) displacement in the world [m].
 
         Raises:
-            MotionError: the tool cannot go there; the message says how far it can, and which joint keeps it.
+            ValueError: the tool cannot go there; the message says how far it can, and which joint keeps it.
         """
         length = float(np.linalg.norm(way))
         segments = min(_MOST, max(_FEWEST, math.ceil(length / _SEGMENT_M)))
@@ -76,7 +75,7 @@ class Tool:
             keeps = self._kept_by(q)
             if keeps:
                 far = length * (segment - 1) / segments
-                raise MotionError(f"the tool of {robot} goes {far:.3f} m of {length:.3f} m: {keeps}")
+                raise ValueError(f"the tool of {robot} goes {far:.3f} m of {length:.3f} m: {keeps}")
             path.append(q)
         return np.stack(path)
 

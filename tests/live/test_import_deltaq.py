@@ -6,6 +6,7 @@ import asyncio
 
 import numpy as np
 import pytest
+from commands import deltaq as deltaq_command
 
 import deltaq
 from deltaq import MotionError, View, aio
@@ -14,6 +15,17 @@ pytestmark = pytest.mark.live
 
 NEAR = 2e-3
 """How far a drive may still be from its setpoint when the robot is at rest [rad]."""
+
+
+TURN = """
+class Turn:
+    def __init__(self):
+        self.left = 20
+
+    def increment(self, view):
+        self.left -= 1
+        return None if self.left < 0 else [0.001, 0, 0, 0, 0, 0]
+"""
 
 
 class Turn:
@@ -54,12 +66,13 @@ def test_what_cannot_be_raises_an_error_with_reason_value_and_bound(ready_stack)
         with pytest.raises(ValueError, match=r"dq: shape \(2,\), the robot has 6 joints"):
             robot.step([0.0, 0.0])
         with pytest.raises(
-            MotionError, match=r"increment (scaled|held): (velocity|acceleration)_limit of .* \(bound"
+            MotionError,
+            match=r"^(velocity|acceleration)_limit: the increment of fr was (scaled|held): .* \(bound",
         ):
             robot.step([0.5, 0, 0, 0, 0, 0])
         assert robot.step([0.5, 0, 0, 0, 0, 0], check=False).outcome != "admitted"
         cell.stop()
-        with pytest.raises(MotionError, match=r"fr is held: operator_stop.*deltaq reset --robot fr"):
+        with pytest.raises(MotionError, match=r"^operator_stop: fr is held: .*deltaq reset --robot fr"):
             robot.home()
 
 
@@ -80,3 +93,13 @@ def test_the_same_names_serve_asyncio_and_a_task_that_is_cancelled_leaves_the_ro
     home = asyncio.run(drive())
     ready_stack.wait_for(lambda before, after, _: np.array_equal(before, after))
     assert ready_stack.emulator()["q_setpoint"][0] < home[0] + 1.0
+
+
+def test_a_controller_in_a_file_drives_a_robot_from_the_command_line(ready_stack, tmp_path):
+    file = tmp_path / "turn.py"
+    file.write_text(TURN)
+    done = deltaq_command("run", f"{file}:Turn", "--robot", "fr", "--url", ready_stack.cell.hli)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == "fr is at rest: the controller has ended\n"
+    with deltaq.connect(ready_stack.cell.hli) as cell:
+        assert next(cell.states("fr")).q_cmd[0] > ready_stack.robot.home[0] + 0.015

@@ -25,6 +25,7 @@ from deltaq_deploy.command import (
     krc,
     operate,
     recordings,
+    run,
     streams,
     study,
     up,
@@ -100,6 +101,7 @@ app.command(rich_help_panel=WATCH)(watch.metrics)
 app.command(rich_help_panel=WATCH)(watch.ros2)
 app.command(rich_help_panel=WATCH)(audit.audit)
 app.command(rich_help_panel=COMMAND)(drive.drive)
+app.command(rich_help_panel=COMMAND)(run.run)
 app.command(rich_help_panel=COMMAND)(camera.follow)
 app.command(rich_help_panel=COMMAND)(camera.view)
 app.command(rich_help_panel=COMMAND)(advise.advise)
