@@ -2,7 +2,7 @@
 
 In a cell with a lookahead the verdict may take longer than a cycle: each state is answered as it comes, and what is in
 flight is reckoned with (`deltaq_protocol.in_flight`). In one without (`q_ahead` is null) each verdict is awaited before
-the next state is answered: not to wait gained nothing there in a running cell (docs/explanation/timing.md). Where
+the next state is answered: not to wait gained nothing there in a running cell (docs/notes/timing.md). Where
 either takes longer, the lease asks for a playout buffer, and what waits there is in flight too.
 """
 

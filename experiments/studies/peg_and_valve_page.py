@@ -19,7 +19,7 @@ from deltaq_experiments.peg_and_valve import (
 from deltaq_experiments.peg_and_valve_person import ACTION_S, NOISE, NOISE_MEMORY_S, REACTION_S, SLIP
 from deltaq_experiments.peg_and_valve_summary import CONCLUSIONS, FEW, FIGURES, MOST, by_mode
 
-PAGE = Path("docs/explanation/modes-compared.md")
+PAGE = Path("docs/notes/modes-compared.md")
 SEEDS = 10
 
 

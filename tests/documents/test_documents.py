@@ -27,7 +27,8 @@ def test_a_reference_page_is_what_the_code_gives(name: str) -> None:
 
 
 def test_no_reference_page_is_left_over() -> None:
-    assert {file.name for file in FOLDER.iterdir()} == set(PAGES)
+    written = {name for name in PAGES if name.startswith("reference/")}
+    assert {f"reference/{file.name}" for file in (FOLDER / "reference").iterdir()} == written
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda file: str(file.relative_to(ROOT)))
@@ -38,7 +39,7 @@ def test_every_link_to_a_file_leads_somewhere(document: Path) -> None:
     assert dead == []
 
 
-@pytest.mark.parametrize("document", [ROOT / "CONTRIBUTING.md", ROOT / "docs/explanation/architecture.md"])
+@pytest.mark.parametrize("document", [ROOT / "CONTRIBUTING.md", ROOT / "docs/notes/architecture.md"])
 def test_every_file_that_a_map_of_the_tree_names_is_there(document: Path) -> None:
     named = set(re.findall(r"`([\w./]+(?:/|\.py))`", document.read_text(encoding="utf-8")))
     tree = [

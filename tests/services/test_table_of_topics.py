@@ -324,8 +324,8 @@ def test_what_clients_may_not_read_they_cannot_watch(monkeypatch: pytest.MonkeyP
 
 
 def test_the_reference_is_written_from_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = page("topics.md")
+    before = page("reference/topics.md")
     change_row(monkeypatch, "PROXIMITY", rate=Hertz(7.0), recorded=False)
-    (changed,) = set(page("topics.md").splitlines()) - set(before.splitlines())
+    (changed,) = set(page("reference/topics.md").splitlines()) - set(before.splitlines())
     assert "`proximity`" in changed
     assert "| 7 Hz |" in changed

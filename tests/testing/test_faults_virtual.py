@@ -220,7 +220,7 @@ def test_no_fault_passes_a_limit_or_touches_and_after_each_the_robot_moves_again
 @pytest.mark.nightly
 @pytest.mark.timeout(0)
 def test_the_table_in_the_documents_is_what_the_command_prints():
-    page = Path(__file__).parents[2] / "docs" / "how-to" / "faults.md"
+    page = Path(__file__).parents[2] / "docs" / "notes" / "fault-table.md"
     assert markdown(run_table("lab")) in page.read_text(encoding="utf-8")
 
 

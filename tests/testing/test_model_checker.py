@@ -31,7 +31,7 @@ from deltaq_services.robot_server.snapshot import ServerMemory
 
 MOST_CYCLES = 40
 LONG_TO_BE_FOUND = (ChainIsNotLookedAt, ResetIgnoresRest, SessionIsTakenInAnyPhase, SilentGateIsIgnored)
-PAGE = Path(__file__).parents[2] / "docs" / "explanation" / "what-is-proved-of-the-phases.md"
+PAGE = Path(__file__).parents[2] / "docs" / "notes" / "what-is-proved-of-the-phases.md"
 
 
 def documented():

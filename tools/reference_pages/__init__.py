@@ -7,33 +7,27 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from reference_pages import robots, rooms, sequences, testing, wire
+from reference_pages import robots, testing, wire
 
-FOLDER = Path(__file__).parents[2] / "docs" / "reference"
+FOLDER = Path(__file__).parents[2] / "docs"
 _WRITTEN = "<!-- Written by `make docs` from the code; do not edit. -->\n\n"
 
 
 PAGES = {
-    "topics.md": wire.topics,
-    "sayings.md": wire.sayings,
-    "messages.md": wire.messages,
-    "reasons.md": wire.reasons,
-    "counters.md": wire.counters,
-    "phases.md": robots.phases,
-    "krc.md": robots.krc,
-    "rsi-sessions.md": robots.sessions,
-    "criteria.md": robots.criteria,
-    "gains.md": robots.gains,
-    "cell.md": robots.cell,
-    "services.md": robots.services,
-    "cli.md": robots.cli,
-    "testing.md": testing.testing,
-    "rooms.md": rooms.rooms,
-    "sequences.md": sequences.sequences,
+    "reference/cli.md": robots.cli,
+    "reference/cell.md": robots.cell,
+    "reference/topics.md": wire.topics,
+    "reference/messages.md": wire.messages,
+    "reference/reasons.md": wire.reasons,
+    "reference/counters.md": wire.counters,
+    "reference/krc.md": robots.krc,
+    "reference/criteria.md": robots.criteria,
+    "reference/testing.md": testing.testing,
+    "notes/gains.md": robots.gains,
 }
-"""What writes each page, by file name."""
+"""What writes each page, by its place in `docs`."""
 
 
 def page(name: str) -> str:
-    """A page, as `docs/reference` has it."""
+    """A page, as `docs` has it."""
     return _WRITTEN + PAGES[name]().rstrip() + "\n"

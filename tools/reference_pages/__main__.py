@@ -7,7 +7,6 @@ from reference_pages import FOLDER, PAGES, page
 
 def main() -> None:
     """Write all pages."""
-    FOLDER.mkdir(parents=True, exist_ok=True)
     for name in PAGES:
         (FOLDER / name).write_text(page(name), encoding="utf-8")
 

@@ -1,9 +1,11 @@
-"""Tables of a page, and the fields of a model as a table."""
+"""Tables of a page, and the fields of a model as a list."""
 
 from __future__ import annotations
 
 import ast
 import inspect
+import json
+import re
 from collections.abc import Iterable
 from enum import Enum
 from types import UnionType
@@ -13,6 +15,14 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 _SIGNS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤", "min_length": "length ≥", "max_length": "length ≤"}
+_PLAIN = {str: "string", int: "integer", float: "number", bool: "boolean", type(None): "null"}
+NAMED = {
+    "string, length ≥ 1, length ≤ 64": "name",
+    "integer, ≥ 0, < 9223372036854775808": "count",
+    "number, ≥ -1e+30, ≤ 1e+30": "number",
+    "list of numbers, length ≥ 1, length ≤ 32": "joints",
+}
+"""What the bounds that most fields share are called on the pages."""
 
 
 def table(columns: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
@@ -35,50 +45,65 @@ def models(module: Any, base: type[BaseModel]) -> list[type[BaseModel]]:
 
 
 def fields(model: type[BaseModel], level: int) -> str:
-    """A model's fields as a table, below a heading of this level."""
-    rows = (
-        (f"`{name}`", f"`{type_name(field.annotation)}`", bounds(field), default(field))
-        for name, field in model.model_fields.items()
-    )
+    """A model's fields as a list, below a heading of this level."""
+    kind = model.model_fields.get("type")
+    head = f"{'#' * level} {model.__name__}" + (f"\n\n`type`: `{kind.default}`" if kind else "")
     text = inspect.cleandoc(model.__doc__ or "")
-    return f"{'#' * level} {model.__name__}\n\n{text}\n\n" + table(
-        ("field", "type", "bounds", "default"), rows
-    )
+    lines = [
+        f"- `{name}`: {described(field)}" for name, field in model.model_fields.items() if name != "type"
+    ]
+    return "\n\n".join([head, text, *(["\n".join(lines)] if lines else [])])
+
+
+def described(field: FieldInfo) -> str:
+    """Type, bounds and default of a field."""
+    bounded = ", ".join([type_name(field.annotation), *bounds(field)])
+    for long, short in NAMED.items():
+        if bounded in (long, long.replace(",", " or null,", 1)):
+            bounded = short + " or null" * (bounded != long)
+    return bounded if field.is_required() else f"{bounded}; default {default(field)}"
 
 
 def type_name(annotation: Any) -> str:
-    """A type as people read it: without its bounds, and null for None."""
+    """A type in the words of JSON, without its bounds."""
     origin, arguments = get_origin(annotation), get_args(annotation)
-    if annotation is type(None):
-        return "null"
     if origin is Annotated:
         return type_name(arguments[0])
     if origin is Literal:
-        return " or ".join(repr(value) for value in arguments)
+        return " or ".join(f"`{value}`" for value in arguments)
     if origin in (Union, UnionType):
         return " or ".join(type_name(argument) for argument in arguments)
-    if arguments:
-        inner = ", ".join("..." if argument is Ellipsis else type_name(argument) for argument in arguments)
-        return f"{annotation.__name__}[{inner}]"
-    return str(annotation.__name__)
+    if origin is dict:
+        return f"map of {_several(arguments[1])}"
+    if origin in (tuple, list):
+        counted = "list" if Ellipsis in arguments or origin is list else str(len(arguments))
+        kinds = dict.fromkeys(_several(argument) for argument in arguments if argument is not Ellipsis)
+        text = re.sub(r"(\d) of (numbers|strings)", r"\1 \2", f"{counted} of {' and '.join(kinds)}")
+        return text.replace("4 of 4 numbers", "pose")
+    return _PLAIN.get(annotation, str(annotation.__name__))
 
 
-def bounds(field: FieldInfo) -> str:
+def _several(annotation: Any) -> str:
+    name = type_name(annotation)
+    return f"{name}s" if name in _PLAIN.values() else name
+
+
+def bounds(field: FieldInfo) -> list[str]:
     """The bounds of a field, as people write them."""
-    bounds = []
+    found = []
     for item in [*field.metadata, *_metadata(field.annotation)]:
         for name, sign in _SIGNS.items():
             if (bound := getattr(item, name, None)) is not None:
-                bounds.append(f"{sign} {bound}")
-    return ", ".join(dict.fromkeys(bounds))
+                found.append(f"{sign} {bound}")
+    return list(dict.fromkeys(found))
 
 
 def default(field: FieldInfo) -> str:
-    """The default of a field."""
-    if field.is_required():
-        return "required"
-    default = field.get_default(call_default_factory=True)
-    return f"`{type(default).__name__}()`" if isinstance(default, BaseModel) else f"`{default!r}`"
+    """The default of a field that has one."""
+    value = field.get_default(call_default_factory=True)
+    if isinstance(value, BaseModel):
+        return "that of its fields"
+    return f"`{json.dumps(value, ensure_ascii=False)}`"
 
 
 def _metadata(annotation: Any) -> list[Any]:

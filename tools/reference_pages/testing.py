@@ -21,24 +21,16 @@ from deltaq_testing.virtual import CellUnderTest
 from reference_pages.markdown import fields, table
 
 _INTRODUCTION = (
-    "[Find the bug in a controller](../tutorial/find-the-bug.md) is the tutorial, [test a controller of your own]"
-    "(../how-to/test-a-controller.md) the guide. The import package is `deltaq_testing`: each room of the wheel is a"
-    " package of its own, named after it, and there is no package `deltaq` that could hold a `deltaq.testing`. The"
-    " extra is `deltaq[testing]`."
+    "Look up fixtures, checks, faults and the fields of a scenario. [Find the bug in a controller]"
+    "(../tutorial/find-the-bug.md) is the tutorial, [test a controller of your own](../how-to/test-a-controller.md) the"
+    " guide. The extra is `deltaq[testing]`, the import package `deltaq_testing`."
 )
 _SECTIONS = ("Args", "Returns", "Raises", "Attributes")
 
 
 def testing() -> str:
     """The whole page."""
-    faults = (
-        (
-            f"`{row.name}`",
-            row.what,
-            ", ".join(sorted(schedule.TimedFault(row, 0.0).parts)) or "nothing that lasts",
-        )
-        for row in schedule.VIRTUAL
-    )
+    faults = ((f"`{row.name}`", row.what) for row in schedule.VIRTUAL)
     models = (Scenario, FaultEntry, Expectations, EndsAt, Tracking, FaultSearch)
     return "\n\n".join(
         [
@@ -47,15 +39,15 @@ def testing() -> str:
             "## Fixtures",
             table(("fixture", "what it is"), _fixtures()),
             f"Marker: `{plugin.MARKER}`. Options of pytest: `--deltaq-cell`, `--deltaq-seed`.",
-            "## What a test does, and asks",
+            "## What a test does and asks",
             table(("of a cell", "what it does or tells"), [*_members(CellUnderTest), *_members(Observed)]),
             table(("of a cell", "what it holds"), [*_attributes(CellUnderTest), *_attributes(Observed)]),
             f"A `RunFinding` is true or false, and `told` says why: {_text(RunFinding)}",
             f"A `JointTrackingError` has `max`, `rms` and `final`: {_text(JointTrackingError)}",
             "## Faults",
             _documented(schedule.fault, "deltaq_testing.schedule"),
-            "Two faults that change the same part cannot befall at the same time.",
-            table(("fault", "what happens", "what it changes while it stands"), faults),
+            "Two faults that change the same process, clock or link cannot overlap.",
+            table(("fault", "what happens"), faults),
             "## Schedules for hypothesis",
             _documented(strategies.schedules, "deltaq_testing.strategies"),
             "## Scenario files",

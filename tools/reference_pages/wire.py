@@ -2,118 +2,159 @@
 
 from __future__ import annotations
 
-from deltaq_protocol import audit, guarded
+from collections.abc import Iterator
+from enum import Enum
+
+from deltaq_protocol import audit
 from deltaq_protocol import messages as open_messages
-from deltaq_protocol import sayings as table_of_sayings
 from deltaq_protocol import topics as table_of_topics
 from deltaq_protocol.client_rights import RIGHTS
-from deltaq_protocol.messages import Message
+from deltaq_protocol.messages import LeaseAction, Message, Outcome, Phase, Sight
 from deltaq_protocol.reasons import EXPLANATIONS
-from deltaq_protocol.topic import Realm
+from deltaq_protocol.topic import Realm, Topic
 from deltaq_services.counters import COUNTERS
+from deltaq_services.phases import MAY_MOVE, TRANSITIONS
 from reference_pages.markdown import fields, message_link, models, table
+
+_ENUMS = (Phase, Outcome, LeaseAction, Sight, audit.AuditKind, audit.AuditOutcome)
 
 
 def topics() -> str:
-    """The table of topics."""
-    rows = (
-        (
-            f"`{topic.name}`",
-            topic.realm,
-            topic.kind,
-            f"`{topic.template}`",
-            message_link(topic.message) + (f" → {message_link(topic.reply)}" if topic.reply else ""),
-            ", ".join(topic.publishers),
-            ", ".join(topic.readers),
-            topic.rate_text,
-            topic.max_age_cycles,
-            topic.max_age_s,
-            topic.priority,
-            topic.recorded,
-        )
-        for topic in table_of_topics.TOPICS
-    )
-    columns = (
-        *("topic", "realm", "kind", "key", "message", "published or asked by", "read or answered by"),
-        *("rate", "greatest age [cycles]", "greatest age [s]", "priority", "recorded"),
-    )
-    return (
-        "# Topics\n\nzenoh carries msgpack maps with the fields of the message named. Clients reach the open realm;"
-        " HLI, SIM and Robot Servers alone speak in the guarded realm. What is older than its greatest age is not"
-        " acted upon; where the cell's `gate` bounds an age in seconds too (`max_request_age_s`), the lesser of"
-        " the two decides. See [the loop](../explanation/the-loop.md).\n\n" + table(columns, rows)
-    )
-
-
-def sayings() -> str:
-    """Who says what to whom: clients by their role, services by their name."""
-    robot = "{robot}"
-    known = table_of_sayings.sayings("{cell}", [robot])
-    rows = (
-        (
-            f"`{saying.speaker}`",
-            f"[`{saying.topic.name}`](topics.md)",
-            f"`{saying.key}`",
-            ", ".join(f"`{name}`" for name in saying.listeners),
-        )
-        for saying in sorted(known, key=lambda saying: saying.speaker)
-    )
-    unsealed = ", ".join(
-        f"`{topic.name}`"
-        for topic in table_of_topics.TOPICS
-        if topic.realm is Realm.GUARDED and not table_of_sayings.is_sealed(topic)
-    )
+    """The table of topics, and who may use those of the open realm."""
     rights = (
         (
-            f"[`{right.topic.name}`](topics.md)",
+            f"`{right.topic.name}`",
             right.what,
             "the holder of its lease" if right.of_holder else right.least.name.lower(),
         )
         for right in RIGHTS
     )
-    return (
-        "# Who says what\n\n## Open realm\n\nClients communicate with the HLI only. A client proves its role by a"
-        " token or an [identity](../explanation/security.md#clients). An operator may do everything that a controller"
-        " may, and a controller everything that an observer may; an observer needs no proof. If no tokens are set,"
-        " every client is an operator.\n\n"
-        + table(("topic", "what", "who may"), rights)
-        + "\n\n## Guarded realm\n\nIn the guarded realm each key has one sender. With"
-        " [identities](../explanation/security.md#identities) a message there has a MAC for each of its receivers,"
-        " which only the sender and that receiver can make; messages of anybody else are refused and counted. If a"
-        " service is among its own receivers, observers that use its identity read the message. A line with `{robot}`"
-        " stands for each robot of the cell.\n\n"
-        f"{table(('who', 'says', 'under', 'to'), rows)}\n\nOnly observers read these topics;"
-        f" no service acts upon them, and they have no seal: {unsealed}."
+    return "\n\n".join(
+        [
+            "# Topics and rights",
+            "Look up the zenoh key of each message, its rate, and which clients may use it. zenoh carries msgpack maps"
+            " with the fields of the [message](messages.md). A message that is older than its greatest age has no"
+            " effect; the cell's `gate.max_request_age_s` bounds the same age in seconds, and the lesser of the two"
+            " decides.",
+            "## Open realm",
+            "Clients communicate with the HLI only.",
+            _table_of(Realm.OPEN),
+            "## Rights of clients",
+            "A client proves its role by a token or an [identity](../explanation/security.md#clients). An operator may"
+            " do everything that a controller may, and a controller everything that an observer may; an observer needs"
+            " no proof. If no tokens are set, every client is an operator.",
+            table(("topic", "what", "who may"), rights),
+            "## Guarded realm",
+            "HLI, SIM and Robot Servers alone speak here, each key has one sender, and"
+            " [seals](../explanation/security.md#the-seal) prove it. A client needs none of this;"
+            " `deltaq schema` prints the fields.",
+            _table_of(Realm.GUARDED),
+        ]
     )
 
 
+def _table_of(realm: Realm) -> str:
+    rows = (
+        (
+            f"`{topic.name}`",
+            f"`{topic.template}`",
+            topic.kind,
+            _carried(topic),
+            ", ".join(topic.publishers),
+            ", ".join(topic.readers),
+            topic.rate_text,
+            _greatest_age(topic),
+            topic.recorded,
+        )
+        for topic in table_of_topics.TOPICS
+        if topic.realm is realm
+    )
+    columns = (
+        "topic",
+        "key",
+        "kind",
+        "message",
+        "sent or asked by",
+        "read or answered by",
+        "rate",
+        "greatest age",
+    )
+    return table((*columns, "recorded"), rows)
+
+
+def _carried(topic: Topic) -> str:
+    name = message_link if topic.realm is Realm.OPEN else lambda message: f"`{message.__name__}`"
+    return name(topic.message) + (f" → {name(topic.reply)}" if topic.reply else "")
+
+
+def _greatest_age(topic: Topic) -> str:
+    cycles = [] if topic.max_age_cycles is None else [f"{topic.max_age_cycles} cycles"]
+    return ", ".join([*cycles, *([] if topic.max_age_s is None else [f"{topic.max_age_s:g} s"])])
+
+
 def messages() -> str:
-    """The fields of every message."""
-    parts = [
-        "# Messages\n\nThe fields are the same in msgpack and in JSON lines; `deltaq schema` prints them as JSON"
-        " Schema. `q` is a configuration and `dq` an increment over one cycle, in rad and m, in joint order."
-    ]
-    rooms = ((open_messages, "Open realm"), (guarded, "Guarded realm"), (audit, "Audit log"))
-    for module, realm in rooms:
-        parts.append(f"## {realm}")
-        parts += [fields(model, level=3) for model in models(module, Message)]
-    return "\n\n".join(parts)
+    """The fields of every message of the open realm, and of the audit log."""
+    return "\n\n".join(
+        [
+            "# Messages",
+            "Look up what a client sends and receives. The fields are the same in msgpack and in JSON lines;"
+            " `deltaq schema` prints them as JSON Schema, with the guarded realm's. A field without a default is"
+            " required.",
+            "- *name*: a string of 1 to 64 characters; *count*: an integer from 0, below 2⁶³\n"
+            "- *joints*: a list of 1 to 32 finite numbers in joint order, in rad and m. `q` is a configuration, and"
+            " `dq` an increment over one cycle\n"
+            "- *pose*: a 4 by 4 matrix, a list of rows; `T_a_b` maps coordinates of b into a\n"
+            "- *ReasonCode*: one of the [reason codes](reasons.md#reason-codes)\n"
+            + "\n".join(_values(enum) for enum in _ENUMS),
+            "## Open realm",
+            *(fields(model, level=3) for model in models(open_messages, Message)),
+            "## Audit log",
+            *(fields(model, level=3) for model in models(audit, Message)),
+        ]
+    )
+
+
+def _values(enum: type[Enum]) -> str:
+    return f"- *{enum.__name__}*: {', '.join(f'`{member.value}`' for member in enum)}"
 
 
 def reasons() -> str:
-    """The reason codes."""
+    """The reason codes, and the phases of a robot with their picture."""
+    arrows = [f"    {row.phase} --> {row.next_phase}: {row.event}" for row in TRANSITIONS]
+    diagram = "\n".join(["stateDiagram-v2", f"    [*] --> {Phase.OFFLINE}", *arrows])
     rows = ((f"`{code}`", text) for code, text in EXPLANATIONS.items())
-    return (
-        "# Reason codes\n\nWhy a request was scaled, held or refused, and why a robot is held.\n\n"
-        + table(("code", "meaning"), rows)
+    may_move = " and ".join(f"`{phase}`" for phase in Phase if phase in MAY_MOVE)
+    return "\n\n".join(
+        [
+            "# Reasons and phases",
+            "Look up why a request was scaled, held or refused, why a robot is held, and how its phase changes."
+            " [Troubleshooting](../how-to/troubleshooting.md) says what to do.",
+            "## Reason codes",
+            table(("code", "meaning"), rows),
+            "## Phases of a robot",
+            f"A robot takes admissions in {may_move} only. An event without an arrow changes nothing."
+            " [What is proved of it](../notes/what-is-proved-of-the-phases.md).",
+            f"```mermaid\n{diagram}\n```",
+        ]
     )
 
 
 def counters() -> str:
-    """The counters."""
-    rows = ((row.service.replace("_", " "), f"`{row.name}`", row.meaning) for row in COUNTERS)
-    return (
-        "# Counters\n\nWhat `deltaq status --json` and the states of the guarded realm count, each from the start of"
-        " its process; a counter of zero is left out. A part in braces stands for a name: a [reason code](reasons.md),"
-        " a [topic](topics.md), a robot.\n\n" + table(("service", "counter", "what was counted"), rows)
+    """The counters; what several services count alike is one row."""
+    return "\n\n".join(
+        [
+            "# Counters",
+            "Look up what a counter of `deltaq status --json` or of the metrics counts. Each counts from the start of"
+            " its process; a counter of zero is left out. A part in braces stands for a name: a"
+            " [reason code](reasons.md), a [topic](topics.md), a robot.",
+            table(("service", "counter", "what was counted"), _counted()),
+        ]
     )
+
+
+def _counted() -> Iterator[tuple[str, str, str]]:
+    alike: dict[tuple[str, str], list[str]] = {}
+    for row in COUNTERS:
+        alike.setdefault((row.name, row.meaning), []).append(row.service.replace("_", " "))
+    for (name, meaning), services in alike.items():
+        yield ", ".join(services), f"`{name}`", meaning

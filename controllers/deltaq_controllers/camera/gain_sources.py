@@ -1,4 +1,4 @@
-"""Where each gain of the camera controllers comes from; `docs/reference/gains.md` is written from this table.
+"""Where each gain of the camera controllers comes from; `docs/notes/gains.md` is written from this table.
 
 Equations are those of the first paper. A gain that says "trial" was changed until the runs of `deltaq experiment` in
 virtual time were good enough, so another value may be as good.

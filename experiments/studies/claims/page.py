@@ -40,5 +40,10 @@ def page(sheet: Sheet, outcomes: Sequence[ClaimOutcome]) -> str:
     for outcome in outcomes:
         claim = outcome.claim
         if claim.picture:
-            lines += ["", f"![{claim.claim}](pictures/{claim.picture}.png)", "", f"`{claim.command}`"]
+            lines += [
+                "",
+                f"![{claim.claim}](../explanation/pictures/{claim.picture}.png)",
+                "",
+                f"`{claim.command}`",
+            ]
     return "\n".join(lines) + "\n"

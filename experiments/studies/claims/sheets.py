@@ -31,13 +31,13 @@ class Sheet:
 
 CAMERA = Sheet(
     "camera",
-    Path("docs/explanation/camera-figures.md"),
+    Path("docs/notes/camera-figures.md"),
     "The paper's figures, and ours",
     (
         "The runs are in virtual time, with a cycle of 12 ms, a latency of 60 ms and, unless the command says",
         "otherwise, a leader that is asked for 0.25 m/s. Each figure is the largest of its run after `--settle-s`",
         "(5 s if not given). `leader's mean` and `peak` are the speeds that its tool reached. The pictures are of",
-        "seed 0. [The camera follower](camera-follower.md) explains the controllers; their figures",
+        "seed 0. [The camera follower](../explanation/camera-follower.md) explains the controllers; their figures",
         "[under attack](attack-figures.md) are on a page of their own.",
     ),
     CLAIMS,
@@ -45,7 +45,7 @@ CAMERA = Sheet(
 
 ATTACK = Sheet(
     "attack",
-    Path("docs/explanation/attack-figures.md"),
+    Path("docs/notes/attack-figures.md"),
     "The camera follower under attack",
     (
         "The runs are in virtual time, with a cycle of 12 ms, a latency of 60 ms and, unless the command says",
@@ -56,7 +56,7 @@ ATTACK = Sheet(
         "that were `held` or `refused`. `leader's mean` and `peak` are the speeds that the leader's tool reached.",
         "`lab-open` is the lab without the plant's panel, which stops the leader in the lab; in `lab-aside` the",
         "follower also stands elsewhere.",
-        "[The camera follower](camera-follower.md#where-it-ends) says what limits the controllers.",
+        "[The camera follower](../explanation/camera-follower.md#where-it-ends) says what limits the controllers.",
     ),
     ATTACKS,
 )
