@@ -21,7 +21,7 @@ from mkdocs.structure.files import File, Files, InclusionLevel
 from mkdocs.structure.pages import Page
 
 LINK = re.compile(r"(\]\()([^)#:\s]+)((?:#[^)]*)?\))")
-SECTION = re.compile(r"^- \*\*(.+?)\*\*:(.*?)(?=^- |\Z)", re.MULTILINE | re.DOTALL)
+SECTION = re.compile(r"^- \*\*(.+?)\*\*:(.*?)(?=^- |^\n|\Z)", re.MULTILINE | re.DOTALL)
 LANGUAGES = {
     ".py": "python",
     ".m": "matlab",

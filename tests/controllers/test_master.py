@@ -29,7 +29,7 @@ from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Outcome
 from deltaq_testing.virtual_cell.cell import VirtualCell
 
-GUIDE = Path(__file__).parents[2] / "docs" / "how-to" / "drive-by-hand.md"
+GUIDE = Path(__file__).parents[2] / "docs" / "how-to" / "lead-by-another-robot.md"
 
 
 class Clutch(OperatorInput):

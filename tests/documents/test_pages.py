@@ -22,7 +22,7 @@ PAGES = [
     *sorted((DOCS / "tutorial").glob("*.md")),
     *sorted((DOCS / "how-to").glob("*.md")),
 ]
-SHORT = ("first-motion.md",)
+SHORT = ("getting-started.md",)
 """What a reader does first; the other pages follow in `make nightly`."""
 
 NOT_RUN = {
@@ -44,6 +44,7 @@ NOT_RUN = {
         "needs the certificate; tests/services/test_encrypted_lines.py connects the same way",
         "needs two machines; tests/services/test_encrypting_recipe.py runs it on one",
     ],
+    "getting-started.md": ["installs from a package index", "lines of the demonstration above"],
     "README.md": [
         "makes an environment of its own; the next block runs the same demonstration",
         "installs from a package index",
@@ -79,11 +80,13 @@ NOT_RUN = {
         "takes a minute; tests/experiments/test_far_controllers.py runs shorter ones",
         "needs root and takes a minute; tests/live/test_far_bounds.py runs it for each row",
     ],
+    "lead-by-another-robot.md": [
+        "waits for keys; tests/controllers/test_master.py leads a robot through the gate",
+        "waits for keys; tests/controllers/test_master.py leads this arm by its twin",
+    ],
     "drive-by-hand.md": [
         "waits for keys; tests/deploy/command/test_drive.py drives a terminal",
         "a file of the system",
-        "waits for keys; tests/controllers/test_master.py leads a robot through the gate",
-        "waits for keys; tests/controllers/test_master.py leads this arm by its twin",
         "steps of a script; tests/controllers/test_held_object.py runs the like",
         "steps of a script; tests/deploy/command/test_drive.py runs the like",
     ],
@@ -106,6 +109,7 @@ NOT_RUN = {
 _TESTING = ("hypothesis", "iniconfig", "packaging", "pluggy", "Pygments", "pytest", "sortedcontainers")
 INSTALLED_BESIDE = {
     "bring-your-own-robot.md": ("example-robot-data",),
+    "lead-by-another-robot.md": ("example-robot-data",),
     "find-the-bug.md": _TESTING,
     "test-a-controller.md": _TESTING,
 }

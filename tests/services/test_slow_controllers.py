@@ -20,7 +20,6 @@ from deltaq_services.hli.tcp_connection import TcpConnection
 from deltaq_testing.faults import mover
 
 ROOT = Path(__file__).parents[2]
-TUTORIAL = ROOT / "docs" / "tutorial" / "first-motion.md"
 PRINTED = [
     *ROOT.glob("*.md"),
     *(ROOT / "docs").rglob("*.md"),
@@ -84,15 +83,6 @@ def assert_nothing_is_missing(given: list[int], taken: list[dict[str, Any]], inc
     assert set(range(1, increments + 1)) <= seqs
 
 
-def script_of(document: Path, server: Server) -> str:
-    """The Python that a document prints, told of this server's port."""
-    block = re.search(
-        r"<!-- run: python -->\n```python\n(.*?)^```", document.read_text(), re.MULTILINE | re.DOTALL
-    )
-    assert block
-    return block[1].replace("5210", str(server.description.tcp_port))
-
-
 def run_slowly(script: Path, *arguments: str) -> list[dict[str, Any]]:
     command = [sys.executable, "-c", SLOWED, str(script), *arguments]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
@@ -107,15 +97,6 @@ def test_the_socket_example_takes_up_every_line_though_it_computes_for_longer_th
 ) -> None:
     port = str(server.description.tcp_port)
     assert_nothing_is_missing(given, run_slowly(ROOT / "examples" / "over_a_socket.py", "127.0.0.1", port))
-
-
-@pytest.mark.service
-def test_the_tutorial_takes_up_every_line_though_it_computes_for_longer_than_a_cycle(
-    server: Server, given: list[int], tmp_path: Path
-) -> None:
-    script = tmp_path / "first_motion.py"
-    script.write_text(script_of(TUTORIAL, server))
-    assert_nothing_is_missing(given, run_slowly(script))
 
 
 @pytest.mark.service
