@@ -14,7 +14,6 @@ from deltaq_protocol.messages import Message
 from deltaq_protocol.topic import Realm
 from deltaq_services.outputs import Output, ToTopic, published
 from deltaq_services.recorder.writer import RecordingWriter
-from deltaq_services.sim.gate_log import memory_is_due
 from deltaq_testing.virtual_cell.cell import VirtualCell
 
 _TAKEN = {ServerState: topics.SERVER_STATE, Request: topics.REQUEST, Command: topics.COMMAND}
@@ -69,7 +68,7 @@ class RecordedCell(VirtualCell):
         outputs = super().gate_takes(message)
         answered = [(output.topic, output.message) for output in outputs]
         self.writer.gate_took(_TAKEN[type(message)], message, answered, self.sim.taken, self.time_ns)
-        if memory_is_due(self.sim):
+        if self.sim.memory_is_due:
             self.writer.gate_remembers(self.sim.snapshot(), self.time_ns)
         return outputs
 

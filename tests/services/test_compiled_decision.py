@@ -15,8 +15,7 @@ from deltaq_cell.kernel.course import lay_course
 from deltaq_cell.kernel.motion import course_points
 from deltaq_experiments.bench.cornered import stored
 from deltaq_protocol.guarded import Admission
-from deltaq_services.sim.blend import Blend
-from deltaq_services.sim.compiled_certificate import CompiledCertifier
+from deltaq_services.sim.compiled_certificate import Blend, CompiledCertifier
 from deltaq_services.sim.core import Sim
 from deltaq_services.sim.tube import Branch, tube
 

@@ -25,9 +25,8 @@ from deltaq_protocol.guarded import Admission
 from deltaq_protocol.messages import Outcome, Reason
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.certificate import Certifier
-from deltaq_services.sim.contacts import Contacts
-from deltaq_services.sim.gate import Gate
-from deltaq_services.sim.violations import Violations
+from deltaq_services.sim.gate import Contacts, Gate
+from deltaq_services.sim.retreat import Violations
 
 
 def decide(robot, request, others=(), violations=None):

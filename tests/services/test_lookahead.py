@@ -23,7 +23,7 @@ from deltaq_services.robot_server.admissions_due import AdmissionsDue
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.guards import Refusal
 from deltaq_services.robot_server.measurement import Measurement
-from deltaq_services.sim.courses import courses, motions, still_due
+from deltaq_services.sim.tube import courses, motions, still_due
 from deltaq_testing.virtual_cell.cell import VirtualCell
 from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 from deltaq_testing.virtual_cell.parts import Link, Process

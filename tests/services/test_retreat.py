@@ -21,8 +21,7 @@ from gate_bench import (
 
 from deltaq_protocol.guarded import Admission
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.sim.retreat import Retreat
-from deltaq_services.sim.violations import Violations
+from deltaq_services.sim.retreat import Retreat, Violations
 
 GATE = CELL.description.gate
 SLOW = GATE.retreat_speed * LIMITS["fr"].max_dq

@@ -4,8 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deltaq_services.sim.certificate import Certificate, Suspects
-from deltaq_services.sim.share_search import HALVINGS, largest
+from deltaq_services.sim.certificate import HALVINGS, Certificate, Suspects, largest
 
 REFUSED = 0.8
 LEAST = REFUSED / 2**HALVINGS

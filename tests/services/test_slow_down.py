@@ -19,10 +19,8 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_cell.load import CellError, load_cell
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.sim.contacts import Contacts
-from deltaq_services.sim.gate import Gate
-from deltaq_services.sim.slow_down import SlowDown
-from deltaq_services.sim.violations import Violations
+from deltaq_services.sim.gate import Contacts, Gate, SlowDown
+from deltaq_services.sim.retreat import Violations
 
 BAND_M, SPEED_M_S, STOP_M = 0.4, 0.2, 0.05
 BAND = CELL.description.gate.model_copy(

@@ -12,7 +12,7 @@ from deltaq_protocol.messages import Message, Phase
 from deltaq_protocol.stamps import CycleOutcome, Stamps, StampStation, read_stamps
 from deltaq_services.outputs import ToTopic
 from deltaq_services.robot_server.guarded_link import outcome_of
-from deltaq_services.sim.gate_stamps import GateStamps
+from deltaq_services.sim.shell import GateStamps
 from deltaq_testing.virtual_cell.cell import VirtualCell
 from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 

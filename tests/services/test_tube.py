@@ -12,7 +12,7 @@ from spread_drives import SpreadServo
 from deltaq_cell.description import ServoLag
 from deltaq_cell.kernel.span import off_hull, widths
 from deltaq_protocol.brake import brake_cycles, brake_increment
-from deltaq_services.sim.history import History
+from deltaq_services.sim.tracker import History
 from deltaq_services.sim.tube import Branch, DriveBounds, Span, Windows, tube
 
 LAG = 6

@@ -3,7 +3,7 @@
 import pytest
 
 from deltaq_protocol.guarded import KeptDistance
-from deltaq_services.sim.violations import ALLOWANCE_M, Violations
+from deltaq_services.sim.retreat import ALLOWANCE_M, Violations
 
 STOP_M = 0.05
 PAIR = frozenset({"fr/link_3", "structure/floor"})

@@ -41,7 +41,7 @@ def test_a_gate_that_forgets_what_pairs_have_to_keep_is_found_out(attack, monkey
     if forgotten == "between setpoints":
         monkeypatch.setattr(Retreat, "_keep", lambda *_: True)
     else:
-        monkeypatch.setattr("deltaq_services.sim.violations.ALLOWANCE_M", 1e-3)
+        monkeypatch.setattr("deltaq_services.sim.retreat.ALLOWANCE_M", 1e-3)
     outcomes = [attack.run(seed, ask="inwards") for seed in range(200, 206)]
     assert summary(outcomes)["nearer_m"]["worst"] > 10 * TOLERANCE_M
 

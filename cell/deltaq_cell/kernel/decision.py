@@ -1,6 +1,6 @@
 """All that the gate certifies for one decision, in two calls: handing over arrays takes longer than most looks.
 
-`deltaq_services.sim.certificate` says the first in plain words and `deltaq_services.sim.share_search` the second.
+`deltaq_services.sim.certificate` says the first in plain words and `deltaq_services.sim.certificate` the second.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ def largest_share(
     found: Findings,
     told: Told,
 ) -> tuple[float, int]:
-    """Largest share of a request found that is certified, as `deltaq_services.sim.share_search` finds it.
+    """Largest share of a request found that is certified, as `deltaq_services.sim.certificate` finds it.
 
     Args:
         cell: what stays.

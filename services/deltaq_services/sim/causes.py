@@ -15,7 +15,7 @@ from deltaq_protocol.guarded import Admission, ServerState
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.setpoint_motion import SetpointMotion
 from deltaq_services.phases import MAY_MOVE
-from deltaq_services.sim.courses import courses
+from deltaq_services.sim.tube import courses
 
 _SUMS = 1e-9
 """Rounding of a setpoint when increments are added in another order [rad or m]."""

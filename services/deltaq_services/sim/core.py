@@ -31,19 +31,17 @@ from deltaq_protocol.identity import CellIdentity, mismatch
 from deltaq_protocol.messages import Message, NearestPair, Outcome, Reason, Verdict
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 from deltaq_protocol.receipts import first_receipt, with_receipt
+from deltaq_protocol.topic import Messages
 from deltaq_services.containment import Containment
 from deltaq_services.outputs import ToTopic
 from deltaq_services.phases import MAY_MOVE
-from deltaq_services.sim.answers import nearest_pair, reply, verdict_of
 from deltaq_services.sim.causes import impossible
-from deltaq_services.sim.command_order import CommandOrder
-from deltaq_services.sim.contacts import Contacts
 from deltaq_services.sim.fingerprint import fingerprint
-from deltaq_services.sim.gate import Decision, Gate
-from deltaq_services.sim.gated_robot import GatedRobot
+from deltaq_services.sim.gate import Contacts, Decision, Gate, nearest_pair, verdict_of
+from deltaq_services.sim.gated_robot import CommandOrder, GatedRobot, reply
 from deltaq_services.sim.limits import Limits
+from deltaq_services.sim.retreat import Violations
 from deltaq_services.sim.tracker import Tracker
-from deltaq_services.sim.violations import Violations
 
 
 class Decider(Protocol):
@@ -284,6 +282,17 @@ class Sim:
     def newest_id(self) -> int:
         """The greatest id of a command so far."""
         return self._command_order.newest_id
+
+    @property
+    def memory_is_due(self) -> bool:
+        """Whether a snapshot follows the newest message: where a replay can begin, or go on after a gap.
+
+        One follows each message that was refused after an error: a replay that meets no such error tells the
+        difference, and goes on from there.
+        """
+        rate = topics.GATE_MEMORY.rate
+        assert isinstance(rate, Messages)  # that is how the table counts them
+        return self.containment.failed or self.taken % rate.messages == 0
 
     def snapshot(self) -> GateMemory:
         """Snapshot of all that decisions depend on, for `restore`."""

@@ -7,26 +7,140 @@ acceleration). The brake itself was certified with the last admission, so s = 0 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
+import numpy as np
+
 from deltaq_cell.compiled_proximity import CompiledProximity
-from deltaq_cell.description import GateDescription
+from deltaq_cell.description import ContactDescription, GateDescription
+from deltaq_cell.group import Nearest
+from deltaq_cell.proximity import ProximityEngine
 from deltaq_cell.reach import apart_m
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.messages import Outcome, Reason
+from deltaq_protocol.messages import NearestPair, Outcome, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.sim.blend import Blend
 from deltaq_services.sim.certificate import NUMERICAL_TOLERANCE_M, Binding, Certificate
-from deltaq_services.sim.compiled_certificate import SHARE_BUDGET, CompiledCertifier
-from deltaq_services.sim.contacts import Contacts
+from deltaq_services.sim.compiled_certificate import SHARE_BUDGET, Blend, CompiledCertifier
 from deltaq_services.sim.limits import Limits
-from deltaq_services.sim.retreat import Retreat
-from deltaq_services.sim.slow_down import SlowDown
+from deltaq_services.sim.retreat import Retreat, Violations
 from deltaq_services.sim.tracker import Tracker
 from deltaq_services.sim.tube import Windows
-from deltaq_services.sim.violations import Violations
+
+
+class Contacts:
+    """The contacts, pairs of bodies that an operator lets touch for a while, that are allowed now; none at the start.
+
+    Args:
+        proximity: of the cell; it measures no pair that an allowed contact names.
+        contacts: of the cell, by name.
+
+    Attributes:
+        allowed: names of those that are allowed now, in the cell's order.
+    """
+
+    def __init__(self, proximity: ProximityEngine, contacts: Mapping[str, ContactDescription]) -> None:
+        self._proximity = proximity
+        self._contacts = contacts
+        self.allowed: tuple[str, ...] = ()
+
+    def __contains__(self, name: object) -> bool:
+        """Whether the cell has such a contact."""
+        return name in self._contacts
+
+    def allow(self, names: Iterable[str]) -> None:
+        """Allow these contacts and forbid all others."""
+        wanted = set(names)
+        for contact in self._contacts.values():
+            self._proximity.leave_out(contact.pairs, left_out=False)
+        self.allowed = tuple(name for name in self._contacts if name in wanted)
+        for name in self.allowed:
+            self._proximity.leave_out(self._contacts[name].pairs)
+
+    def switch(self, name: str, allowed: bool) -> None:
+        """Allow one contact, or forbid it."""
+        self.allow({*self.allowed, name} if allowed else {*self.allowed} - {name})
+
+    def speed(self, robot: str) -> tuple[float, str]:
+        """Fraction of its velocity limits that a robot may use now, and the contact that sets it, "" if none does."""
+        shares = [
+            (self._contacts[name].speed, name)
+            for name in self.allowed
+            if self._contacts[name].concerns(robot)
+        ]
+        return min(shares, default=(1.0, ""))
+
+
+class SlowDown:
+    """Speed and separation: the nearer two bodies are, the slower they may approach one another.
+
+    Within the band between the stop distance and `slow_down_distance_m` the approach speed that is allowed falls in
+    proportion to the room that is left, as in speed and separation monitoring. It is counted along the line between the
+    nearest points, from this robot's own motion; of two robots each has half. The invariants do not rest on it: it
+    makes motion near bodies gentle, not safe.
+
+    Args:
+        proximity: of the cell.
+        margins: the gate's.
+        cycle_s: sample time of its robots.
+    """
+
+    def __init__(self, proximity: ProximityEngine, margins: GateDescription, cycle_s: float) -> None:
+        self._proximity = proximity
+        self._distance_m = margins.slow_down_distance_m
+        self._fastest = margins.slow_down_speed_m_s * cycle_s
+        self._cycle_s = cycle_s
+
+    def scale(
+        self, robot: Tracker, others: Sequence[Tracker], brake: Array, request: Array, at_most: float
+    ) -> tuple[float, list[Reason]]:
+        """Largest s <= `at_most` with which no pair in the band approaches too fast, and the reason if it is less.
+
+        Args:
+            robot: the robot that is to move, judged at the setpoint that the increment is added to.
+            others: the other robots, at their present setpoints.
+            brake: (n,) next increment of the brake [rad or m].
+            request: (n,) increment asked for.
+            at_most: the largest s that other limits leave.
+        """
+        if self._distance_m is None:
+            return at_most, []
+        self._place(robot.name, robot.ahead.q_cmd)
+        # of two robots each has half of the speed
+        lists = [(1.0, self._proximity.alone[robot.name])]
+        for other in others:
+            self._place(other.name, other.q_cmd)
+            lists.append((0.5, self._proximity.between[robot.name, other.name]))
+        scale, reasons = at_most, []
+        near = [
+            (share, approach)
+            for share, groups in lists
+            if groups
+            for approach in self._proximity.approaches(robot.name, groups, self._distance_m)
+        ]
+        for share, approach in near:
+            room = (approach.distance_m - approach.stop_distance_m) / (
+                self._distance_m - approach.stop_distance_m
+            )
+            allowed = share * self._fastest * max(room, 0.0)
+            before, change = approach.per_joint @ brake, approach.per_joint @ (request - brake)
+            if change <= 0.0 or before + scale * change <= allowed:
+                continue
+            scale = max(float((allowed - before) / change), 0.0)
+            reasons = [
+                Reason(
+                    code=ReasonCode.SLOW_DOWN,
+                    what=" ".join(approach.pair),
+                    value=float(before + at_most * change) / self._cycle_s,
+                    bound=allowed / self._cycle_s,
+                )
+            ]
+        return scale, reasons
+
+    def _place(self, robot: str, q: Array) -> None:
+        self._proximity.place(robot, q, np.zeros_like(q))
+
 
 _LEAST_SCALE = 1e-3
 """Below this a blend is the brake in all but name."""
@@ -146,3 +260,29 @@ def _clearance_reason(certificate: Certificate) -> Reason:
         value=binding.nearest.swept_m,
         bound=binding.stop_distance_m,
     )
+
+
+def verdict_of(
+    robot: str, cycle: int, setpoint_cycle: int, seq: int, decision: Decision, cycle_s: float
+) -> Verdict:
+    """A decision on the increment `seq` and the state of `cycle`, for the setpoint of `setpoint_cycle`."""
+    near = decision.binding.nearest if decision.binding is not None else None
+    return Verdict(
+        robot=robot,
+        cycle=cycle,
+        seq=seq,
+        outcome=decision.outcome,
+        setpoint_cycle=None if decision.outcome is Outcome.HELD else setpoint_cycle,
+        scale=decision.scale,
+        dq=tuple(decision.dq.tolist()),
+        time_to_stop_s=decision.brake_cycles * cycle_s,
+        reasons=decision.reasons,
+        clearance_m=near.distance_m if near is not None else None,
+        pair=near.pair if near is not None else None,
+    )
+
+
+def nearest_pair(near: Nearest) -> NearestPair:
+    """Two bodies with their witness points."""
+    first, second = (tuple(point.tolist()) for point in near.points_m)
+    return NearestPair(pair=near.pair, distance_m=near.distance_m, points_m=(first, second))

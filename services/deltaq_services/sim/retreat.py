@@ -3,13 +3,13 @@
 Someone may put a body into the robot's way, or a robot may start too near. Then no tube is certified, and without
 an exception the robot could never move again. Retreat admits slow motion that is certified like any other, except
 that a violated pair has to keep the distance that it had when its violation began
-(`deltaq_services.sim.violations`) instead of the stop distance. That distance is known only of robots that stood
+(`Violations`) instead of the stop distance. That distance is known only of robots that stood
 still then: no robot retreats into one that moves.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -19,6 +19,7 @@ from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_cell.description import GateDescription
 from deltaq_cell.group import Group
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.guarded import KeptDistance
 from deltaq_protocol.messages import Reason
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.certificate import NUMERICAL_TOLERANCE_M
@@ -26,7 +27,66 @@ from deltaq_services.sim.compiled_certificate import CompiledCertifier
 from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.tracker import Tracker
 from deltaq_services.sim.tube import Branch, Piece
-from deltaq_services.sim.violations import BodyPair, Violations
+
+BodyPair = frozenset[str]
+"""Names of two bodies."""
+
+ALLOWANCE_M = 5e-6
+"""How much nearer a pair may come in all while its violation lasts: only as much as rounding needs."""
+
+_MEASURED_M = 2e-6
+"""Largest difference of the same distance when it is measured again."""
+
+
+class Violations:
+    """The distances that violated pairs have to keep [m].
+
+    A violation has a cause outside the gate: no admission leads into one. The distance at its beginning, measured while
+    the robots concerned stood still, is kept until it has ended. A weaker rule would not do: a gate that compared with
+    the cycle before, with a tolerance for rounding, would let a robot creep into contact, a micrometre at a time.
+    """
+
+    def __init__(self) -> None:
+        self._kept: dict[BodyPair, float] = {}
+
+    def kept_m(self, pair: BodyPair) -> float | None:
+        """The distance that a pair has to keep; None if it is not known to be violated."""
+        return self._kept.get(pair)
+
+    def stands(self, pair: BodyPair, distance_m: float, stop_distance_m: float) -> None:
+        """A pair nearer than its stop distance was measured while its robots stood still.
+
+        Args:
+            pair: names of the bodies.
+            distance_m: at the setpoints.
+            stop_distance_m: what the pair keeps otherwise.
+        """
+        keeps = min(distance_m - ALLOWANCE_M, stop_distance_m)
+        before = self._kept.get(pair)
+        # no admission can have brought it nearer than it had to keep: somebody else did
+        if before is None or distance_m < before - _MEASURED_M:
+            self._kept[pair] = keeps
+
+    def only(self, robot: str, violated: Collection[BodyPair]) -> None:
+        """The violations of a robot are among these; all others of it have ended."""
+        ended = [pair for pair in self._kept if _concerns(pair, robot) and pair not in violated]
+        for pair in ended:
+            del self._kept[pair]
+
+    def snapshot(self) -> tuple[KeptDistance, ...]:
+        """Snapshot for `restore`."""
+        return tuple(
+            KeptDistance(pair=(one, other), distance_m=distance)
+            for (one, other), distance in sorted((sorted(pair), item) for pair, item in self._kept.items())
+        )
+
+    def restore(self, memory: Iterable[KeptDistance]) -> None:
+        """Restore a snapshot of another gate."""
+        self._kept = {frozenset(item.pair): item.distance_m for item in memory}
+
+
+def _concerns(pair: BodyPair, robot: str) -> bool:
+    return any(name.startswith(f"{robot}/") for name in pair)
 
 
 @dataclass(frozen=True)

@@ -10,27 +10,120 @@ from __future__ import annotations
 import logging
 import secrets
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import zenoh
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_protocol import topics
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.codec import InvalidMessageError, pack, unpack
-from deltaq_protocol.guarded import Greeting, Health
+from deltaq_protocol.guarded import Admission, GateEntry, Greeting, Health, Request
 from deltaq_protocol.heartbeat import Heartbeat
+from deltaq_protocol.messages import Message, Outcome, Verdict
 from deltaq_protocol.sayings import SIM
 from deltaq_protocol.seal import ForgedMessageError, UnboundMessageError
 from deltaq_protocol.session import declare_publisher
-from deltaq_protocol.stamps import stamps_if_asked
+from deltaq_protocol.stamps import Stamps, StampStation, stamps_if_asked
 from deltaq_protocol.topic import Party, Realm, Topic
 from deltaq_services.greeter import Greeter
 from deltaq_services.guarded_key import guarded_seal
 from deltaq_services.guarded_session import open_guarded_session
 from deltaq_services.rate_limit import Pace
-from deltaq_services.sim.core import Sim
-from deltaq_services.sim.gate_log import GateLog
-from deltaq_services.sim.gate_stamps import GateStamps
+from deltaq_services.sim.core import Decider, Sim
+from deltaq_services.sim.gate import Decision
+from deltaq_services.sim.tracker import Tracker
+
+
+class GateLog:
+    """The gate's own log of its inputs and outputs, in its order, for a recorder.
+
+    A second listener hears the same messages, but not in the order in which the gate took them, and
+    that order decides. No entry is written while nobody listens; a listener that is too slow loses entries,
+    which their numbers show, and never delays the gate.
+    """
+
+    def __init__(self, session: Any, cell: str, sim: Sim) -> None:
+        self._sim = sim
+        self._listened_to = False
+        self._entries = _publisher(session, topics.GATE_LOG, cell)
+        self._memories = _publisher(session, topics.GATE_MEMORY, cell)
+
+    def look_for_listeners(self) -> None:
+        """See whether anybody listens; to be called between messages, and now and then, since it takes its time.
+
+        Who has come gets a snapshot, and every message after it.
+        """
+        began = not self._listened_to
+        self._listened_to = self._entries.matching_status.matching
+        if began and self._listened_to:
+            self._memories.put(pack(self._sim.snapshot()))
+
+    def begin_anew(self) -> None:
+        """Give listeners a snapshot when they are looked for next: not only messages have changed the gate."""
+        self._listened_to = False
+
+    def took(self, topic: Topic, payload: bytes, outputs: Sequence[tuple[str, bytes]]) -> None:
+        """The gate took a message and published its outputs, all as msgpack."""
+        if not self._listened_to:
+            return
+        sim = self._sim
+        entry = GateEntry(
+            epoch=sim.epoch, number=sim.taken, topic=topic.name, payload=payload, outputs=tuple(outputs)
+        )
+        self._entries.put(pack(entry))
+        if sim.memory_is_due:
+            self._memories.put(pack(sim.snapshot()))
+
+
+def _publisher(session: Any, topic: Topic, cell: str) -> Any:
+    # the SIM itself listens to all of its realm, and does not count
+    return declare_publisher(session, topic.key(cell), priority=topic.priority, to_itself=False)
+
+
+class GateStamps:
+    """Stamps requests as they come, the begin and the end of each decision, and admissions as they go.
+
+    Taken only if the environment asks for them; see `deltaq_protocol.stamps`.
+
+    Args:
+        stamps: where to.
+        sim: the SIM whose gate is watched; its decisions do not change.
+    """
+
+    def __init__(self, stamps: Stamps, sim: Sim) -> None:
+        self._stamps = stamps
+        self._watched = sim.gate = _Watched(sim.gate)
+
+    def came(self, message: Message) -> None:
+        """The gate is about to take a message."""
+        if isinstance(message, Request) and message.dq is not None:
+            self._stamps.add(StampStation.REQUEST_AT_GATE, message.robot, message.cycle, message.seq)
+
+    def went(self, message: Message) -> None:
+        """A message of the gate has been published: of a decision first the admission, if any, then the verdict."""
+        if isinstance(message, Admission):
+            self._stamps.add(StampStation.ADMISSION_OUT, message.robot, message.cycle)
+        elif isinstance(message, Verdict) and message.outcome is not Outcome.REFUSED:
+            robot, cycle, seq, watched = message.robot, message.cycle, message.seq, self._watched
+            self._stamps.add(StampStation.DECISION_BEGUN, robot, cycle, seq, watched.begun_ns)
+            self._stamps.add(StampStation.DECIDED, robot, cycle, seq, watched.decided_ns)
+
+
+class _Watched:
+    """A gate, and when its last decision began and ended [ns]."""
+
+    def __init__(self, gate: Decider) -> None:
+        self._gate = gate
+        self.begun_ns = self.decided_ns = 0
+
+    def decide(self, robot: Tracker, others: Sequence[Tracker], request: Array) -> Decision:
+        self.begun_ns = time.monotonic_ns()
+        decision = self._gate.decide(robot, others, request)
+        self.decided_ns = time.monotonic_ns()
+        return decision
+
 
 _log = logging.getLogger(__name__)
 

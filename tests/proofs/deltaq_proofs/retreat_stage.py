@@ -11,12 +11,11 @@ from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_increment
 from deltaq_protocol.guarded import Admission, Plan, ServerState
 from deltaq_protocol.messages import Outcome, Phase
-from deltaq_services.sim.contacts import Contacts
-from deltaq_services.sim.gate import Gate
+from deltaq_services.sim.gate import Contacts, Gate
 from deltaq_services.sim.limits import Limits
+from deltaq_services.sim.retreat import Violations
 from deltaq_services.sim.tracker import Tracker
 from deltaq_services.sim.tube import drives_of
-from deltaq_services.sim.violations import Violations
 
 
 class Stage:
