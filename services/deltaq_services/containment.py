@@ -1,4 +1,4 @@
-"""What a core does after an error that nobody foresaw: it is put back to what it was before the message.
+"""Cores as values: a copy of one goes on as it would have, and after an error one is put back to what it was.
 
 A message that a core fails on is then as one that was lost on its way, which every core has to bear at any time.
 
@@ -10,13 +10,48 @@ from __future__ import annotations
 
 import logging
 import traceback
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, ClassVar, Self
 
 _WRITTEN_TO = (list, dict, set, deque)
 _MOST_PLACES = 64
 """Places in the code whose errors are told apart; with more of them the log is full enough."""
+
+
+class Part:
+    """A part of a core. Its attributes are parts, values that are never written to, and flat containers of both.
+
+    Attributes:
+        aside: names of attributes that are no part of the value: they only look at it.
+    """
+
+    aside: ClassVar[frozenset[str]] = frozenset()
+
+    def snapshot(self) -> Self:
+        """A copy, for `restore`; counters, callables and what is `aside` are those of this one."""
+        copy = object.__new__(type(self))
+        copy.__dict__.update((name, _copied(value)) for name, value in self.__dict__.items())
+        return copy
+
+    def restore(self, memory: Self) -> None:
+        """Go on from where another of the same robots was when `memory` was taken, counters excepted."""
+        for name, value in memory.__dict__.items():
+            own = self.__dict__.get(name)
+            if name in self.aside or callable(value) or isinstance(value, Counter | Containment):
+                continue
+            if isinstance(own, Part) and type(own) is type(value):
+                own.restore(value)
+            else:
+                self.__dict__[name] = _copied(value)
+
+
+def _copied(value: Any) -> Any:
+    if isinstance(value, Part):
+        return value.snapshot()
+    if type(value) is dict:
+        return {key: one.snapshot() if isinstance(one, Part) else one for key, one in value.items()}
+    return value.copy() if type(value) in _WRITTEN_TO else value
 
 
 class Containment:

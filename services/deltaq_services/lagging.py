@@ -9,6 +9,7 @@ import math
 from collections import deque
 
 from deltaq_protocol.topic import Topic
+from deltaq_services.containment import Part
 
 SLOW = 0.8
 """Share of its rate below which a stream lags."""
@@ -22,7 +23,7 @@ def lags(topic: Topic, cycle_s: float, rate_hz: float | None) -> bool:
     return expected_hz is not None and (rate_hz is None or rate_hz < SLOW * expected_hz)
 
 
-class Heard:
+class Heard(Part):
     """One stream of one publisher.
 
     Args:
@@ -43,14 +44,6 @@ class Heard:
     def at(self, time_s: float) -> None:
         """A message has come."""
         self._times_s.append(time_s)
-
-    def snapshot(self) -> tuple[float, ...]:
-        """When the newest messages came [s]."""
-        return tuple(self._times_s)
-
-    def restore(self, times_s: tuple[float, ...]) -> None:
-        """Go on from where another was."""
-        self._times_s = deque(times_s, maxlen=self._times_s.maxlen)
 
     def fault(self, time_s: float) -> str | None:
         """The fault of the stream, for people; None if it has none."""

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 
+from deltaq_services.containment import Part
 
-class RateLimit:
+
+class RateLimit(Part):
     """A bucket that fills with time and from which each message takes one.
 
     Args:
@@ -21,14 +23,6 @@ class RateLimit:
         self._full = most_s if at_once is None else at_once
         self._left = self._full
         self._at_s: float | None = None
-
-    def snapshot(self) -> tuple[float, float | None]:
-        """What is left, and since when, for `restore`."""
-        return self._left, self._at_s
-
-    def restore(self, memory: tuple[float, float | None]) -> None:
-        """Go on from where another was."""
-        self._left, self._at_s = memory
 
     def has_left(self, now_s: float) -> bool:
         """Whether one more would be allowed now."""
@@ -76,7 +70,7 @@ _EARLY = 0.25
 """Share of a period that a message may come early, so that two clocks of one pace do not miss every other beat."""
 
 
-class Pace:
+class Pace(Part):
     """Says when the next message is due.
 
     Args:
@@ -86,14 +80,6 @@ class Pace:
     def __init__(self, period_s: float) -> None:
         self._period_s = period_s
         self._next_s = -math.inf
-
-    def snapshot(self) -> float:
-        """When the next message is due [s]."""
-        return self._next_s
-
-    def restore(self, next_s: float) -> None:
-        """Go on from where another was."""
-        self._next_s = next_s
 
     def due(self, time_s: float) -> bool:
         """Whether a message is due at `time_s`; if so, it counts as sent."""

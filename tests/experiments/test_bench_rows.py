@@ -18,7 +18,7 @@ from deltaq_experiments.bench.table import BenchRow, BenchTable
 from deltaq_experiments.bench.telegrams import standing_telegrams
 from deltaq_protocol.codec import InvalidMessageError, pack, unpack
 from deltaq_protocol.messages import Outcome, Verdict
-from deltaq_services.robot_server.krc_file import sensor_codec
+from deltaq_services.robot_server.rsi_driver import sensor_codec
 from deltaq_services.sim.core import Sim
 from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 

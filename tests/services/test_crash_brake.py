@@ -11,7 +11,7 @@ from krc_side import CELL, FR, MAX_DV, XML, KrcSide
 from deltaq_protocol.brake import brake_cycles, brake_increment
 from deltaq_services.robot_server.crash_brake.core import STOP_CYCLES, CrashBrake, CrashPlan
 from deltaq_services.robot_server.crash_brake.record import SENT
-from deltaq_services.robot_server.krc_file import crash_plan, sensor_codec
+from deltaq_services.robot_server.rsi_driver import crash_plan, sensor_codec
 
 ROUNDING = 2e-8
 """Of six decimals of a degree, twice [rad]."""

@@ -7,7 +7,7 @@ from krc_side import KrcSide
 
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.robot_server.ending import Ending
+from deltaq_services.robot_server.core import Ending
 
 SIGNALS = (signal.SIGTERM, signal.SIGINT)
 

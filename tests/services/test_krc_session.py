@@ -5,13 +5,13 @@ import pytest
 
 from deltaq_cell.load import load_cell
 from deltaq_protocol.rsi import KrcTelegram
-from deltaq_services.robot_server.plausibility import Plausibility
 from deltaq_services.robot_server.session import (
     AUTOMATON,
     CONFIRMATIONS,
     STILL,
     Answer,
     Belief,
+    Plausibility,
     Session,
     TelegramKind,
 )

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from remembered import remembered
 
 from deltaq_cell.description import ServoLag
 from deltaq_cell.drive_lag import modelled_lag
@@ -88,6 +89,6 @@ def test_another_that_takes_its_place_goes_on_as_it_would():
         heir = Arm(LAB, SLOW, presumed_s=0.072, probed=QUICK).watch
         heir.restore(arm.watch.snapshot())
         arm.watch, one = heir, arm.watch
-        assert heir.snapshot() == one.snapshot()
+        assert remembered(heir) == remembered(one)
         assert (heir.lag_s(), heir.fault) == (one.lag_s(), one.fault)
     assert arm.watch.fault

@@ -19,9 +19,8 @@ from deltaq_protocol.messages import Increment, Outcome, Phase, Verdict
 from deltaq_protocol.setpoint_motion import SetpointMotion
 from deltaq_services.hli.playout import Asked, CarriedMotion
 from deltaq_services.hli.robot_link import AdmittedAhead, RobotLink
-from deltaq_services.robot_server.admissions_due import AdmissionsDue
 from deltaq_services.robot_server.core import RobotServer
-from deltaq_services.robot_server.guards import Refusal
+from deltaq_services.robot_server.guards import AdmissionsDue, Refusal
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.sim.tube import courses, motions, still_due
 from deltaq_testing.virtual_cell.cell import VirtualCell
@@ -88,23 +87,13 @@ def test_an_admission_is_handed_out_in_its_cycle_and_once() -> None:
     assert (due.take(11), due.forget()) == (None, 0)
 
 
-def test_what_another_kept_is_handed_out_as_it_would_have_been() -> None:
-    due, heir = AdmissionsDue(lookahead_cycles=3), AdmissionsDue(lookahead_cycles=3)
-    for cycle in (12, 10):
-        due.put(at(cycle), 10)
-    heir.put(at(11), 10)
-    heir.restore(due.snapshot(), 10)
-    assert heir.snapshot() == due.snapshot() == (at(12), at(10))
-    assert [heir.take(cycle) for cycle in (10, 11, 12)] == [at(10), None, at(12)]
-
-
 def test_an_admission_that_may_be_late_is_due_at_once_and_so_it_is_to_an_heir(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(topics, "ADMISSION", replace(topics.ADMISSION, max_age_cycles=1))
     due, heir = AdmissionsDue(lookahead_cycles=3), AdmissionsDue(lookahead_cycles=3)
     assert (due.put(at(8), 10), due.put(at(9), 10)) == (Refusal.LATE, None)
-    heir.restore(due.snapshot(), 10)
+    heir.restore(due.snapshot())
     assert due.take(10) == heir.take(10) == at(9)
 
 

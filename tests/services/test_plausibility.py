@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deltaq_cell.load import load_cell
-from deltaq_services.robot_server.plausibility import (
+from deltaq_services.robot_server.session import (
     LIMIT_MARGIN_M,
     LIMIT_MARGIN_RAD,
     RESOLUTION_M,

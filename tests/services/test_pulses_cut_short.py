@@ -1,8 +1,9 @@
 """Setpoints with the pulse of a probe and without it, by the sessions in which they were sent."""
 
 import numpy as np
+from remembered import remembered
 
-from deltaq_services.robot_server.pulses_cut_short import SESSIONS, PulsesCutShort
+from deltaq_services.robot_server.mode_probe import SESSIONS, PulsesCutShort
 
 
 def place(value):
@@ -46,7 +47,7 @@ def test_as_many_sessions_are_remembered_as_a_driver_does_and_another_goes_on_wi
     pulses.sent(place(1000.5), place(1000))
     heir = PulsesCutShort()
     heir.restore(pulses.snapshot())
-    assert heir.snapshot() == pulses.snapshot()
+    assert remembered(heir) == remembered(pulses)
     heir.cut_short()
     np.testing.assert_array_equal(heir.undone(place(1000.5)), place(1000))
     for lost in (0, 1):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from deltaq_services.robot_server.peer import DatagramSource, Peer
+from deltaq_services.robot_server.session import DatagramSource, Peer
 
 KRC = ("127.0.0.1", 40_000)
 OTHER = ("127.0.0.1", 40_001)

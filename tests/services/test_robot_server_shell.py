@@ -11,9 +11,8 @@ from krc_side import CELL, FR, XML, telegram
 
 from deltaq_deploy.launch.private_cell import free_ports
 from deltaq_protocol.errors import ServiceUnreachableError
-from deltaq_services.robot_server.krc_file import sensor_codec
 from deltaq_services.robot_server.krc_socket import MOST_READ, MOST_WAITING, KrcSocket
-from deltaq_services.robot_server.rsi_driver import RsiDriver
+from deltaq_services.robot_server.rsi_driver import RsiDriver, sensor_codec
 
 
 class Bench:

@@ -20,12 +20,10 @@ from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.session import open_session
 from deltaq_services.robot_server.core import RobotServer
-from deltaq_services.robot_server.ending import Ending
 from deltaq_services.robot_server.guarded_link import GuardedLink
-from deltaq_services.robot_server.krc_file import sensor_codec
 from deltaq_services.robot_server.krc_socket import KrcSocket
-from deltaq_services.robot_server.rsi_driver import RsiDriver
-from deltaq_services.robot_server.rsi_loop import RsiLoop
+from deltaq_services.robot_server.rsi_driver import RsiDriver, sensor_codec
+from deltaq_services.robot_server.shell import Ending, RsiLoop
 
 WAITS_S = 10.0
 
@@ -138,8 +136,8 @@ def test_a_reply_that_the_guard_refuses_repeats_the_last_correction_and_holds_th
 @pytest.mark.parametrize(
     ("place", "answers"),
     [
-        ("deltaq_services.robot_server.plausibility", False),  # a telegram is read
-        ("deltaq_services.robot_server.admissions_due", True),  # a cycle is decided
+        ("deltaq_services.robot_server.session", False),  # a telegram is read
+        ("deltaq_services.robot_server.guards", True),  # a cycle is decided
         ("deltaq_services.robot_server.reply_guard", False),  # a reply is made
         ("deltaq_services.rate_limit", True),  # the state is published
     ],

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deltaq_services.robot_server.settling import Settling
+from deltaq_services.robot_server.measurement import Settling
 
 TOLERANCE = np.array([0.5, 0.25])
 HERE = np.zeros(2)

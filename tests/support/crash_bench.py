@@ -6,8 +6,8 @@ from krc_side import CELL, FR, XML, KrcSide
 
 from deltaq_services.robot_server.crash_brake.core import CrashBrake
 from deltaq_services.robot_server.crash_brake.record import SENT, CrashRecords
-from deltaq_services.robot_server.crash_brake.record_maker import CrashRecordMaker
-from deltaq_services.robot_server.krc_file import crash_plan
+from deltaq_services.robot_server.crash_brake.watch import CrashRecordMaker
+from deltaq_services.robot_server.rsi_driver import crash_plan
 
 PEER = ("192.0.2.17", 49152)
 PLAN = crash_plan(CELL, "fr", XML)

@@ -13,8 +13,7 @@ from deltaq_protocol.brake import brake_cycles
 from deltaq_protocol.guarded import Admission, Supervision
 from deltaq_protocol.rsi import AxisMap, KrcCodec, KrcReport, load_ethernet_xml
 from deltaq_services.robot_server.core import RobotServer
-from deltaq_services.robot_server.krc_file import sensor_codec
-from deltaq_services.robot_server.rsi_driver import RsiDriver
+from deltaq_services.robot_server.rsi_driver import RsiDriver, sensor_codec
 from deltaq_services.robot_server.session import CONFIRMATIONS
 
 CELL = load_cell("lab")

@@ -8,8 +8,8 @@ from deltaq_proofs.storm.admitted import ROUNDING, Admitted
 from deltaq_proofs.storm.forger import ForgedSender, Forger
 from deltaq_proofs.storm.pulses import Pulses
 from deltaq_proofs.storm.witness import UNHEARD, DatagramOrigin, Passed, UnexplainedError, Witness
-from deltaq_services.robot_server.krc_file import sensor_codec
 from deltaq_services.robot_server.probe_trial import pulse_offsets
+from deltaq_services.robot_server.rsi_driver import sensor_codec
 
 PULSES = pulse_offsets(FR, CELL.cycle_s)
 

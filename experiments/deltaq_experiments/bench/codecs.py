@@ -21,7 +21,7 @@ from deltaq_protocol.sayings import sayings, services
 from deltaq_protocol.seal import Seal
 from deltaq_protocol.seal_keys import KEY_BYTES, PairKeys, RealmKey, SealKeys
 from deltaq_services.outputs import ToTopic
-from deltaq_services.robot_server.krc_file import sensor_codec
+from deltaq_services.robot_server.rsi_driver import sensor_codec
 from deltaq_testing.virtual_cell.cell import VirtualCell
 from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 

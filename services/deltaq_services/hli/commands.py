@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from deltaq_protocol import topics
@@ -10,6 +9,7 @@ from deltaq_protocol.audit import AuditOutcome
 from deltaq_protocol.guarded import Command, CommandReply
 from deltaq_protocol.messages import MOST_COUNTED_ON, DryRunReply, Error, Message
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
+from deltaq_services.containment import Part
 from deltaq_services.hli.deeds import Tell, deed_of, told_to_nobody
 from deltaq_services.outputs import NOBODY, ClientOrigin, Output, Sender, ToSender, ToTopic
 
@@ -72,19 +72,7 @@ def _told(awaited: _Awaited, message: Message) -> list[Output]:
     return [ToSender(sender, message) for sender in awaited.senders]
 
 
-@dataclass(frozen=True, slots=True)
-class CommandsMemory:
-    """Snapshot of the commands: the newest id, the gate's epoch, ids that are told apart, and what is awaited."""
-
-    id: int
-    epoch: int
-    outdated_id: int
-    stop_id: int
-    awaited: Mapping[int, _Awaited]
-    stops: Mapping[str | None, _Stop]
-
-
-class Commands:
+class Commands(Part):
     """The commands that are in flight.
 
     The gate's heartbeats tell its epoch and the ids that an earlier process used, so that the first command is valid.
@@ -103,17 +91,6 @@ class Commands:
         self._stop_id = 0
         self._awaited: dict[int, _Awaited] = {}
         self._stops: dict[str | None, _Stop] = {}  # the newest of each robot, and of all robots
-
-    def snapshot(self) -> CommandsMemory:
-        """Snapshot of the commands, for `restore`."""
-        ids = (self._id, self._epoch, self._outdated_id, self._stop_id)
-        return CommandsMemory(*ids, dict(self._awaited), dict(self._stops))
-
-    def restore(self, memory: CommandsMemory) -> None:
-        """Go on from where others were."""
-        self._id, self._epoch = memory.id, memory.epoch
-        self._outdated_id, self._stop_id = memory.outdated_id, memory.stop_id
-        self._awaited, self._stops = dict(memory.awaited), dict(memory.stops)
 
     def numbered(self, command: Command) -> Command:
         """A command for the known gate, with an unused id."""

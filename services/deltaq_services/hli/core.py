@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 
 from deltaq_cell.description import CellDescription
@@ -42,46 +41,20 @@ from deltaq_protocol.messages import (
     Welcome,
 )
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
-from deltaq_services.containment import Containment
+from deltaq_services.containment import Containment, Part
 from deltaq_services.hli.client_roles import ClientRoles
-from deltaq_services.hli.commands import CommandsMemory
 from deltaq_services.hli.deeds import Deed, Tell, told_to_nobody
 from deltaq_services.hli.increments import Increments
-from deltaq_services.hli.leases import Leases, LeasesMemory
+from deltaq_services.hli.leases import Leases
 from deltaq_services.hli.requests import Requests
-from deltaq_services.hli.robot_link import LinkMemory, RobotLink
+from deltaq_services.hli.robot_link import RobotLink
 from deltaq_services.hli.state import HliState, answered_by_error
 from deltaq_services.lagging import Heard
 from deltaq_services.outputs import Output, Sender, ToSender, ToTopic
 from deltaq_services.rate_limit import Pace
 
-# What the HLI remembers from one message to the next: values, from which another goes on as it would have.
 
-
-@dataclass(frozen=True, slots=True)
-class HliMemory:
-    """Snapshot of the HLI's core, counters excepted. Senders are in it as they are: nobody can copy a connection.
-
-    Attributes:
-        links: by robot.
-        mismatches: services that have read another cell, and what to say of them.
-        gate: its newest heartbeat, and when that was heard.
-        heard_s: when each stream was heard.
-        proximity_s: when the nearest pair is due.
-        command_rate: what clients may still ask of the gate.
-    """
-
-    leases: LeasesMemory
-    commands: CommandsMemory
-    links: Mapping[str, LinkMemory]
-    mismatches: Mapping[str, str]
-    gate: tuple[Health | None, float]
-    heard_s: tuple[tuple[float, ...], ...]
-    proximity_s: float
-    command_rate: tuple[float, float | None]
-
-
-class HliCore:
+class HliCore(Part):
     """Everything the HLI decides; every `on_...` method returns what is to be sent.
 
     Args:
@@ -100,6 +73,8 @@ class HliCore:
         tell: as given.
         containment: of errors that nobody foresaw.
     """
+
+    aside = frozenset({"increments", "requests"})
 
     def __init__(
         self,
@@ -222,34 +197,6 @@ class HliCore:
         raise TypeError(
             f"the HLI takes states, verdicts, replies and requests, got a {type(message).__name__}"
         )
-
-    def snapshot(self) -> HliMemory:
-        """Snapshot of all that answers depend on, for `restore`."""
-        state = self._state
-        return HliMemory(
-            leases=state.leases.snapshot(),
-            commands=state.commands.snapshot(),
-            links={name: link.snapshot() for name, link in state.links.items()},
-            mismatches=dict(state.mismatches),
-            gate=(self._gate, self._gate_heard_s),
-            heard_s=tuple(stream.snapshot() for stream in self._streams()),
-            proximity_s=self._proximity.snapshot(),
-            command_rate=state.command_rate.snapshot(),
-        )
-
-    def restore(self, memory: HliMemory) -> None:
-        """Go on from where another HLI of this cell was, counters excepted."""
-        state = self._state
-        state.leases.restore(memory.leases)
-        state.commands.restore(memory.commands)
-        for name, link in memory.links.items():
-            state.links[name].restore(link)
-        state.mismatches = dict(memory.mismatches)
-        self._gate, self._gate_heard_s = memory.gate
-        for stream, times_s in zip(self._streams(), memory.heard_s, strict=True):
-            stream.restore(times_s)
-        self._proximity.restore(memory.proximity_s)
-        state.command_rate.restore(memory.command_rate)
 
     def on_server_state(self, state: ServerState, time_s: float) -> list[Output]:
         """A cycle of a robot: ask the gate for what has waited, and tell the controllers.

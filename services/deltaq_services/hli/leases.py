@@ -7,16 +7,17 @@ with the time of day; if that has been set back, the gate still knows the epochs
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from deltaq_protocol.messages import MOST_COUNTED_ON
+from deltaq_services.containment import Part
 from deltaq_services.outputs import NOBODY, ClientOrigin, Sender
 
 # Sequence numbers that were seen: none is taken twice, and those of a long way may overtake one another.
 
 
 @dataclass
-class Sequence:
+class Sequence(Part):
     """Which of the newest sequence numbers of a lease were seen; the sliding window of RFC 4303, 3.4.3.
 
     Attributes:
@@ -47,7 +48,7 @@ class Sequence:
 
 
 @dataclass
-class Lease:
+class Lease(Part):
     """The right to write to one robot.
 
     Attributes:
@@ -78,16 +79,7 @@ class Lease:
         return was_brought
 
 
-@dataclass(frozen=True, slots=True)
-class LeasesMemory:
-    """Snapshot of the leases: the newest epoch, each robot's lease, and the tokens of those before."""
-
-    epoch: int
-    leases: tuple[tuple[str, Lease | None], ...]
-    ended: tuple[tuple[str, str], ...]
-
-
-class Leases:
+class Leases(Part):
     """The leases of all robots of a cell.
 
     Args:
@@ -105,15 +97,6 @@ class Leases:
         self._lease_s = lease_s
         self._new_token = new_token
         self._epoch = first_epoch
-
-    def snapshot(self) -> LeasesMemory:
-        """Snapshot of the leases, for `restore`."""
-        return LeasesMemory(self._epoch, tuple(_copied(self._leases.items())), tuple(self._ended.items()))
-
-    def restore(self, memory: LeasesMemory) -> None:
-        """Go on from where others were."""
-        self._epoch, self._leases = memory.epoch, dict(_copied(memory.leases))
-        self._ended = dict(memory.ended)
 
     @property
     def parts(self) -> Iterator[object]:
@@ -179,11 +162,3 @@ class Leases:
     def expired(self, time_s: float) -> list[Lease]:
         """The leases that have run out."""
         return [lease for lease in self._leases.values() if lease is not None and time_s >= lease.expires_s]
-
-
-def _copied(leases: Iterable[tuple[str, Lease | None]]) -> Iterator[tuple[str, Lease | None]]:
-    """With leases that nobody else renews."""
-    for robot, lease in leases:
-        if lease is not None:
-            lease = replace(lease, sequence=replace(lease.sequence), brought=set(lease.brought))
-        yield robot, lease

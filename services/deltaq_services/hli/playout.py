@@ -23,6 +23,7 @@ from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_travel
 from deltaq_protocol.guarded import Plan
 from deltaq_protocol.messages import Increment, Playout
+from deltaq_services.containment import Part
 from deltaq_services.outputs import Sender
 
 # An increment that passed all checks of the HLI.
@@ -58,17 +59,7 @@ MOST_CARRIED_CYCLES = 12
 increments is ever owed."""
 
 
-@dataclass(frozen=True, slots=True)
-class CarriedMemory:
-    """Snapshot of a `CarriedMotion`."""
-
-    owed: tuple[float, ...]
-    cycles_left: int
-    unasked: tuple[float, ...]
-    unasked_cycles: int
-
-
-class CarriedMotion:
+class CarriedMotion(Part):
     """The motion that was requested of one robot and not sent yet, and the motion that it made unasked.
 
     Args:
@@ -142,16 +133,6 @@ class CarriedMotion:
             wanted = reached
         return tuple(wanted.tolist())
 
-    def snapshot(self) -> CarriedMemory:
-        """Snapshot for `restore`."""
-        owed, unasked = tuple(self._owed.tolist()), tuple(self._unasked.tolist())
-        return CarriedMemory(owed, self._cycles_left, unasked, self._unasked_cycles)
-
-    def restore(self, memory: CarriedMemory) -> None:
-        """Go on from where another was."""
-        self._owed, self._unasked = np.array(memory.owed), np.array(memory.unasked)
-        self._cycles_left, self._unasked_cycles = memory.cycles_left, memory.unasked_cycles
-
     def _owe(self, dq: Array) -> None:
         self._owed = self._bounded(self._owed + dq)
         self._cycles_left = _CARRIED_FOR_CYCLES
@@ -168,22 +149,6 @@ becomes shorter."""
 _LATE_SHARE = 0.05
 """Increments that may come too late for their turn: their motion is carried over, and a longer delay would cost every
 cycle. On links that lose packets a greater share and a smaller one let the camera follower err by more."""
-
-
-@dataclass(frozen=True, slots=True)
-class PlayoutMemory:
-    """Snapshot of a `PlayoutBuffer`."""
-
-    under_way_cycles: tuple[int, ...]
-    waiting: tuple[Asked, ...]
-    delay_cycles: int
-    needed_lately: tuple[int, ...]
-    answered_cycle: int
-    passed_on_in: int
-    late: int
-    empty: int
-    settled: tuple[int, ...]
-    carried: CarriedMemory
 
 
 class Fate(Enum):
@@ -222,7 +187,7 @@ class PlayoutTurn:
     left: Sequence[Left]
 
 
-class PlayoutBuffer:
+class PlayoutBuffer(Part):
     """Increments of one lease until their turn.
 
     Args:
@@ -230,12 +195,12 @@ class PlayoutBuffer:
         carried: takes the motion of those that come too late.
 
     Attributes:
-        max_cycles: as given.
+        max_cycles, carried: as given.
     """
 
     def __init__(self, max_cycles: int, carried: CarriedMotion) -> None:
         self.max_cycles = max_cycles
-        self._carried = carried
+        self.carried = carried
         self._under_way_cycles: deque[int] = deque(maxlen=_REMEMBERED)
         self._waiting: dict[int, Asked] = {}
         self._delay_cycles = 0
@@ -271,11 +236,11 @@ class PlayoutBuffer:
         """
         empty = newest_cycle - self._passed_on_in - 1
         if self._passed_on_in < 0 or not 0 <= empty <= MOST_CARRIED_CYCLES:
-            self._carried.forget()
+            self.carried.forget()
             return
         dq, braked = np.array(plan.dq), min(plan.step, empty)
         before = brake_travel(dq, plan.brake_cycles, plan.step - braked)
-        self._carried.moved(before - brake_travel(dq, plan.brake_cycles, plan.step), empty)
+        self.carried.moved(before - brake_travel(dq, plan.brake_cycles, plan.step), empty)
 
     def turn(self, newest_cycle: int, last_dq: Sequence[float] | None = None) -> PlayoutTurn:
         """A state has come: whose turn it is.
@@ -293,7 +258,7 @@ class PlayoutBuffer:
         if not due:
             return PlayoutTurn(None, ())
         if self._answered_cycle >= 0:
-            self._carried.settle(missing=due[-1] - self._answered_cycle - len(due))
+            self.carried.settle(missing=due[-1] - self._answered_cycle - len(due))
         left = [self._left(self._waiting.pop(cycle), newest_cycle) for cycle in due[:-1]]
         asked = self._waiting.pop(due[-1])
         missed = newest_cycle - self._passed_on_in - 1
@@ -301,14 +266,14 @@ class PlayoutBuffer:
             self._empty += missed
         self._answered_cycle, self._passed_on_in = due[-1], newest_cycle
         self._settle(due[-1])
-        dq = self._carried.add_to(asked.increment.dq, last_dq)
+        dq = self.carried.add_to(asked.increment.dq, last_dq)
         return PlayoutTurn(replace(asked, increment=asked.increment.model_copy(update={"dq": dq})), left)
 
     def drop(self) -> list[Asked]:
         """Forget the increments that wait, and return them."""
         waiting = list(self._waiting.values())
         self._waiting.clear()
-        self._carried.forget()
+        self.carried.forget()
         return waiting
 
     def told(self) -> Playout:
@@ -319,33 +284,8 @@ class PlayoutBuffer:
             answered_cycle=None if self._answered_cycle < 0 else self._answered_cycle,
             late=self._late,
             empty=self._empty,
-            owed=self._carried.owed,
+            owed=self.carried.owed,
         )
-
-    def snapshot(self) -> PlayoutMemory:
-        """Snapshot for `restore`."""
-        return PlayoutMemory(
-            tuple(self._under_way_cycles),
-            tuple(self._waiting.values()),
-            self._delay_cycles,
-            tuple(self._needed_lately),
-            self._answered_cycle,
-            self._passed_on_in,
-            self._late,
-            self._empty,
-            tuple(sorted(self._settled)),
-            self._carried.snapshot(),
-        )
-
-    def restore(self, memory: PlayoutMemory) -> None:
-        """Go on from where another was."""
-        self._under_way_cycles = deque(memory.under_way_cycles, maxlen=_REMEMBERED)
-        self._waiting = {asked.increment.cycle: asked for asked in memory.waiting}
-        self._delay_cycles, self._answered_cycle = memory.delay_cycles, memory.answered_cycle
-        self._needed_lately = list(memory.needed_lately)
-        self._passed_on_in, self._late, self._empty = memory.passed_on_in, memory.late, memory.empty
-        self._settled = set(memory.settled)
-        self._carried.restore(memory.carried)
 
     def _left(self, asked: Asked, newest_cycle: int) -> Left:
         self._late += 1
@@ -356,7 +296,7 @@ class PlayoutBuffer:
         if late_cycles > MOST_CARRIED_CYCLES:
             return Left(asked, Fate.LATE, late_cycles)
         self._settle(cycle)
-        self._carried.asked(asked.increment.dq)
+        self.carried.asked(asked.increment.dq)
         return Left(asked, Fate.CARRIED, late_cycles)
 
     def _settle(self, cycle: int) -> None:

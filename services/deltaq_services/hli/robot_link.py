@@ -7,8 +7,7 @@ state, and no longer; of several only the newest is kept. Where the lease asked 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -16,7 +15,8 @@ from deltaq_protocol.guarded import ServerState
 from deltaq_protocol.messages import Increment, Outcome, Phase, Reason, Sight, Verdict, ViewTarget, ViewWish
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.setpoint_motion import SetpointMotion
-from deltaq_services.hli.playout import Asked, CarriedMotion, PlayoutBuffer, PlayoutMemory
+from deltaq_services.containment import Part
+from deltaq_services.hli.playout import Asked, CarriedMotion, PlayoutBuffer
 from deltaq_services.outputs import Sender
 
 # The setpoints to come, as far as the gate's verdicts tell them, in a cell with a lookahead.
@@ -25,22 +25,7 @@ from deltaq_services.outputs import Sender
 # has its own account.
 
 
-@dataclass(frozen=True, slots=True)
-class AheadMemory:
-    """Snapshot of an `AdmittedAhead`.
-
-    Attributes:
-        verdicts: of each cycle to come, the verdict on what goes into it.
-        decided: cycle of the setpoint that was decided last, held ones too.
-        chain_cycle: cycle of the state since which the chain has not broken.
-    """
-
-    verdicts: Mapping[int, Verdict] = field(default_factory=dict)
-    decided: int = -1
-    chain_cycle: int = 0
-
-
-class AdmittedAhead:
+class AdmittedAhead(Part):
     """What one robot will be sent if it takes all that has been admitted.
 
     Args:
@@ -68,11 +53,11 @@ class AdmittedAhead:
         """A cycle has passed. If its admission was not taken, no later one will be: they follow it."""
         last = state.cycle + self.cycles
         if self._decided > last:  # another process counts from one
-            self.restore(AheadMemory())
+            self._verdicts, self._decided, self._chain_cycle = {}, -1, 0
         due = self._verdicts.get(state.cycle)
         if due is not None and due.dq != state.dq:
             # as the gate does: what follows is given all the time there is
-            self.restore(AheadMemory(decided=last - 1, chain_cycle=state.cycle))
+            self._verdicts, self._decided, self._chain_cycle = {}, last - 1, state.cycle
         self._verdicts = {cycle: verdict for cycle, verdict in self._verdicts.items() if cycle >= state.cycle}
 
     def setpoint_cycle(self, state: ServerState) -> int:
@@ -94,15 +79,6 @@ class AdmittedAhead:
                 motion = motion.sent(np.array(verdict.dq), brake_cycles, 0, state.sequence)
         return tuple(motion.q_cmd.tolist())
 
-    def snapshot(self) -> AheadMemory:
-        """Snapshot for `restore`."""
-        return AheadMemory(dict(self._verdicts), self._decided, self._chain_cycle)
-
-    def restore(self, memory: AheadMemory) -> None:
-        """Go on from where another was."""
-        self._verdicts = dict(memory.verdicts)
-        self._decided, self._chain_cycle = memory.decided, memory.chain_cycle
-
 
 _MAX_AWAITED = 64
 """Increments whose verdict may be outstanding; a gate that answers keeps this at one or two."""
@@ -111,36 +87,7 @@ _IN_HAND_CYCLES = 1
 """An increment that came in a cycle is passed on in that one or so many later."""
 
 
-@dataclass(frozen=True, slots=True)
-class LinkMemory:
-    """Snapshot of a `RobotLink`.
-
-    Attributes:
-        state, received_s: of the robot, and when it came.
-        asked_cycle: cycle in which an increment was passed on last.
-        answered_cycle: cycle of the state that it answered.
-        awaited: the senders that await verdicts.
-        waiting: the increment that waits.
-        admitted: what is known of the setpoints to come.
-        playout: the increments of a controller far away.
-        sight, target: how well the controller sees what it looks at, and what that is.
-        view: what its camera is to look at.
-    """
-
-    state: ServerState | None
-    received_s: float
-    asked_cycle: int | None
-    answered_cycle: int
-    awaited: Mapping[int, Sender | None]
-    waiting: Asked | None
-    admitted: AheadMemory | None
-    playout: PlayoutMemory | None
-    sight: Sight | None
-    target: ViewTarget | None
-    view: ViewWish | None
-
-
-class RobotLink:
+class RobotLink(Part):
     """Newest state and increment of one robot.
 
     Args:
@@ -148,7 +95,7 @@ class RobotLink:
         max_age_cycles: an increment that answers a cycle older than this is stale.
         max_state_age_s: a robot whose newest state is older than this is taken for offline.
         max_playout_cycles: this bound under a lease with a playout buffer, including the time in the buffer.
-        carried: takes the motion of increments that come after their turn in the buffer.
+        carried: what begins to take the motion of increments that come after their turn in a buffer.
         admitted: what is known of future setpoints; None without a lookahead.
 
     Attributes:
@@ -189,39 +136,8 @@ class RobotLink:
     @property
     def parts(self) -> Iterable[object]:
         """The objects that change."""
-        others = (self._carried, self._admitted, self.playout)
-        return self, *(part for part in others if part is not None)
-
-    def snapshot(self) -> LinkMemory:
-        """Snapshot of the robot, for `restore`."""
-        awaited = dict(self._awaited)
-        admitted = None if self._admitted is None else self._admitted.snapshot()
-        return LinkMemory(
-            self.state,
-            self.received_s,
-            self._asked_cycle,
-            self._answered_cycle,
-            awaited,
-            self._waiting,
-            admitted,
-            None if self.playout is None else self.playout.snapshot(),
-            self.sight,
-            self.target,
-            self.view,
-        )
-
-    def restore(self, memory: LinkMemory) -> None:
-        """Go on from where another was."""
-        self.state, self.received_s = memory.state, memory.received_s
-        self._asked_cycle, self._answered_cycle = memory.asked_cycle, memory.answered_cycle
-        self._waiting, self.view = memory.waiting, memory.view
-        self.sight, self.target = memory.sight, memory.target
-        self._awaited = dict(memory.awaited)
-        if self._admitted is not None and memory.admitted is not None:
-            self._admitted.restore(memory.admitted)
-        self.playout = None
-        if memory.playout is not None:
-            self.begin_playout().restore(memory.playout)
+        playout = () if self.playout is None else (self.playout, self.playout.carried)
+        return self, *playout, *(() if self._admitted is None else (self._admitted,))
 
     def phase(self, time_s: float) -> Phase:
         """Phase of the robot; offline while no fresh state comes."""
@@ -231,8 +147,7 @@ class RobotLink:
 
     def begin_playout(self) -> PlayoutBuffer:
         """From now on, until the lease ends, increments wait for their turn."""
-        self._carried.forget()
-        self.playout = PlayoutBuffer(self._max_playout_cycles, self._carried)
+        self.playout = PlayoutBuffer(self._max_playout_cycles, self._carried.snapshot())
         return self.playout
 
     def fault(self, increment: Increment, time_s: float) -> Reason | None:

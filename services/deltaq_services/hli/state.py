@@ -24,6 +24,7 @@ from deltaq_protocol.messages import (
     Verdict,
 )
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
+from deltaq_services.containment import Part
 from deltaq_services.hli.commands import Commands
 from deltaq_services.hli.deeds import Deed, Tell, deed_of, told_to_nobody
 from deltaq_services.hli.leases import Lease, Leases
@@ -108,7 +109,7 @@ MOST_COMMANDS_S = 100.0
 """Commands of clients that the gate gets in a second, and at once: each costs it time. Stops do not count."""
 
 
-class HliState:
+class HliState(Part):
     """State of the HLI, shared by the parts of its core.
 
     Args:

@@ -9,9 +9,11 @@ an increment finds out what its corrections do.
 from __future__ import annotations
 
 import math
+import signal
 from collections import Counter
 from dataclasses import replace
 from functools import partial
+from types import FrameType
 
 import numpy as np
 
@@ -22,21 +24,17 @@ from deltaq_protocol.guarded import Admission, ServerState, Supervision
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.setpoint_motion import SetpointMotion
-from deltaq_services.containment import Containment
+from deltaq_services.containment import Containment, Part
 from deltaq_services.outputs import ToRobot
 from deltaq_services.phases import MAY_MOVE, Event, next_phase
-from deltaq_services.robot_server.admissions_due import AdmissionsDue
-from deltaq_services.robot_server.guards import Bounds, Refusal, refusal
+from deltaq_services.robot_server.guards import AdmissionsDue, Bounds, Refusal, refusal
 from deltaq_services.robot_server.lag_watch import LagWatch
-from deltaq_services.robot_server.measurement import Measurement
-from deltaq_services.robot_server.mode_probe import KinematicMode, ModeProbe, mode_of_session
+from deltaq_services.robot_server.measurement import Measurement, Settling
+from deltaq_services.robot_server.mode_probe import KinematicMode, ModeProbe, PulsesCutShort, mode_of_session
 from deltaq_services.robot_server.probe_trial import Mode
-from deltaq_services.robot_server.pulses_cut_short import PulsesCutShort
-from deltaq_services.robot_server.settling import Settling
-from deltaq_services.robot_server.snapshot import ServerMemory
 
 
-class RobotServer:
+class RobotServer(Part):
     """The state of one robot's server, advanced by one telegram at a time.
 
     Args:
@@ -98,6 +96,11 @@ class RobotServer:
     def motion(self) -> SetpointMotion:
         """The setpoint that was sent last, and the brake that follows it."""
         return self._motion
+
+    @property
+    def waiting(self) -> tuple[Admission, ...]:
+        """Admissions that are due in a later cycle."""
+        return self._admissions.kept
 
     @property
     def at_rest(self) -> bool:
@@ -206,57 +209,6 @@ class RobotServer:
             q_cmd = self.cycle(message, time_s, supervision=supervision)
             return [ToRobot(q_cmd, self.outputs, self.motion_stop)]
         return []
-
-    def snapshot(self) -> ServerMemory:
-        """Snapshot of all that decisions depend on, for `restore`."""
-        settled = self._settling.q_settled
-        return ServerMemory(
-            process=self.process,
-            cycle=self._cycle,
-            phase=self._phase,
-            reason=self._reason,
-            motion=self._motion,
-            q_reset=None if self._q_reset is None else tuple(self._q_reset.tolist()),
-            epoch=self._epoch,
-            resets=self._resets,
-            cycles_without_gate=self._cycles_without_gate,
-            cycles_missed=self._cycles_missed,
-            cycles_at_rest=self._settling.cycles_at_rest,
-            q_settled=None if settled is None else tuple(settled.tolist()),
-            motion_stop=self.motion_stop,
-            outputs=tuple(self.outputs.items()),
-            told=self._told,
-            state=self.state,
-            mode=self._mode.snapshot(),
-            lag=None if self._lag is None else self._lag.snapshot(),
-            pulses=self._pulses.snapshot(),
-            admissions=self._admissions.snapshot(),
-            supervision=self._supervision,
-        )
-
-    def restore(self, memory: ServerMemory) -> None:
-        """Go on from where another Robot Server of this robot was, counters excepted."""
-        self.process, self._cycle = memory.process, memory.cycle
-        self._phase, self._reason = memory.phase, memory.reason
-        self._q_reset = None if memory.q_reset is None else np.array(memory.q_reset)
-        self._motion = memory.motion
-        self._epoch, self._resets = memory.epoch, memory.resets
-        self._cycles_without_gate, self._cycles_missed = memory.cycles_without_gate, memory.cycles_missed
-        settled = None if memory.q_settled is None else np.array(memory.q_settled)
-        self._settling = replace(self._settling, cycles_at_rest=memory.cycles_at_rest, q_settled=settled)
-        self.motion_stop, self.outputs = memory.motion_stop, dict(memory.outputs)
-        self._told, self._state = memory.told, memory.state
-        self._mode = KinematicMode()
-        if memory.mode is not None:
-            self._mode = self._new_mode(np.array(memory.mode.q_start))
-            self._mode.restore(memory.mode)
-        self._lag, self._unwatched = None, None
-        if memory.lag is not None:
-            self._lag = self._new_lag_watch(self._motion.q_cmd, self._mode.lags)
-            self._lag.restore(memory.lag)
-        self._pulses.restore(memory.pulses)
-        self._admissions.restore(memory.admissions, memory.cycle)
-        self._supervision = memory.supervision
 
     def krc_silent(self, time_s: float) -> None:
         """The KRC was silent for longer than its timeout: hold, until it is back and someone resets."""
@@ -474,3 +426,48 @@ class RobotServer:
             cell=self._identity,
             lag_s=() if self._lag is None else self._lag.lag_s(),
         )
+
+
+_STOP_CYCLES = 3
+"""Replies that carry the stop before the process ends: one or two may be lost."""
+
+
+class Ending:
+    """The end of the process: the robot comes to rest first, and its KRC gets the signal to end the motion.
+
+    SIGTERM and Ctrl-C: the first asks for an end, the second ends at once.
+
+    Args:
+        server: brings the robot to rest.
+
+    Attributes:
+        stop: whether the KRC has to end the motion, because no process will answer it any more.
+        over: the process may end.
+    """
+
+    def __init__(self, server: RobotServer) -> None:
+        self.stop = False
+        self.over = False
+        self._server = server
+        self._asked = False
+        self._stops_sent = 0
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, self._ask)
+
+    def cycle_passed(self) -> None:
+        """The KRC was answered, or is silent."""
+        if not self._asked:
+            return
+        self._server.end()
+        self._stops_sent += self.stop
+        self.stop = self._server.at_rest
+        self.over = self._stops_sent >= _STOP_CYCLES
+
+    def krc_silent(self) -> None:
+        """The KRC cannot be answered: there is nothing to wait for."""
+        self.over = self._asked
+
+    def _ask(self, _signal: int, _frame: FrameType | None) -> None:
+        if self._asked:
+            raise KeyboardInterrupt
+        self._asked = True

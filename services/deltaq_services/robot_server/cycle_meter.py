@@ -18,7 +18,9 @@ cycle in ms.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+
+from deltaq_services.containment import Part
 
 WINDOW_TICKS = 25
 """Cycles over which the time is taken."""
@@ -37,8 +39,8 @@ _PAUSE = 1.5
 """Times the silence that telegrams may make up for: one that falls silent for longer is another session's."""
 
 
-@dataclass(slots=True)
-class MeterMemory:
+@dataclass
+class _Seen(Part):
     """What a `CycleMeter` remembers of a session; times on a monotonic clock [s].
 
     Attributes:
@@ -66,7 +68,7 @@ class MeterMemory:
     seen: bool = False
 
 
-class CycleMeter:
+class CycleMeter(Part):
     """Measures the cycle of one KRC.
 
     Args:
@@ -84,12 +86,12 @@ class CycleMeter:
         self._cycle_s, self._given_step = cycle_s, ipoc_step
         self._least_tick_s = (1.0 - DRIFT) * cycle_s
         self._most_ahead_s = _PAUSE * silence_s
-        self._memory = MeterMemory()
+        self._seen = _Seen()
 
     @property
     def detail(self) -> str:
         """The cycle as it was measured last, for people; empty before, and where `fault` says it."""
-        tick_s = self._memory.tick_s
+        tick_s = self._seen.tick_s
         if self.fault or tick_s is None:
             return ""
         busy = (
@@ -104,7 +106,7 @@ class CycleMeter:
             step: by how much its IPOC grows.
             time_s: when its telegram came, on a monotonic clock.
         """
-        self._memory = MeterMemory(step, last_s=time_s, ahead_from_s=time_s, window_from_s=time_s)
+        self._seen = _Seen(step, last_s=time_s, ahead_from_s=time_s, window_from_s=time_s)
         self._conclude()
 
     def tick(self, ticks: int, time_s: float) -> None:
@@ -114,7 +116,7 @@ class CycleMeter:
             ticks: cycles since the last one, by its IPOC.
             time_s: when it came.
         """
-        own = self._memory
+        own = self._seen
         own.ahead_s += ticks * self._least_tick_s - (time_s - own.last_s)
         own.ahead_ticks += ticks
         own.last_s = time_s
@@ -132,22 +134,13 @@ class CycleMeter:
         if own.window_ticks >= WINDOW_TICKS:
             self._close_window(own, time_s)
 
-    def snapshot(self) -> MeterMemory:
-        """Snapshot of all that judgements depend on, for `restore`."""
-        return replace(self._memory)
-
-    def restore(self, memory: MeterMemory) -> None:
-        """Go on from where another meter of this KRC was."""
-        self._memory = replace(memory)
-        self._conclude()
-
     @property
     def _by_ipoc_s(self) -> float | None:
         """Cycle by the IPOC [s]; None if it counts, or is not known."""
-        step = self._memory.step
+        step = self._seen.step
         return None if step <= 1 or self._given_step is not None else step * 1e-3
 
-    def _close_window(self, own: MeterMemory, time_s: float) -> None:
+    def _close_window(self, own: _Seen, time_s: float) -> None:
         own.tick_s = (time_s - own.window_from_s) / own.window_ticks
         own.window_from_s, own.window_ticks = time_s, 0
         by_ipoc_s = self._by_ipoc_s
@@ -161,7 +154,7 @@ class CycleMeter:
         self._conclude()
 
     def _conclude(self) -> None:
-        by_ipoc_s, own = self._by_ipoc_s, self._memory
+        by_ipoc_s, own = self._by_ipoc_s, self._seen
         another = (
             own.too_fast
             or (by_ipoc_s is not None and by_ipoc_s < PACE * self._cycle_s)
@@ -170,7 +163,7 @@ class CycleMeter:
         self.fault = self._told(by_ipoc_s, own) if another else ""
         self.known = own.seen and not another
 
-    def _told(self, by_ipoc_s: float | None, own: MeterMemory) -> str:
+    def _told(self, by_ipoc_s: float | None, own: _Seen) -> str:
         figures = [
             *([] if by_ipoc_s is None else [f"{_ms(by_ipoc_s)} by its IPOC"]),
             *([] if own.tick_s is None else [f"{_ms(own.tick_s)} by the clock"]),

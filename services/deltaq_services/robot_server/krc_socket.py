@@ -19,8 +19,8 @@ from deltaq_protocol.rsi import TelegramError
 from deltaq_protocol.rsi.sensor_codec import MAX_TELEGRAM_BYTES
 from deltaq_services.robot_server.crash_brake.watch import CrashWatch
 from deltaq_services.robot_server.measurement import Measurement
-from deltaq_services.robot_server.peer import DatagramSource, Peer
 from deltaq_services.robot_server.rsi_driver import RsiDriver
+from deltaq_services.robot_server.session import DatagramSource, Peer
 
 _log = logging.getLogger(__name__)
 

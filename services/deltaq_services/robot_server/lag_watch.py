@@ -14,13 +14,13 @@ is told is the mean delay of the moving axis and that difference.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from deltaq_cell.description import RobotDescription
 from deltaq_cell.drive_lag import LONGEST_S, AxisLag, lag_fault
 from deltaq_protocol.arrays import Array, Flags
+from deltaq_services.containment import Part
 
 _MEMORY_S = 0.4
 """Time constant with which motion is forgotten."""
@@ -33,20 +33,7 @@ _LEAST_RAD, _LEAST_M = math.radians(0.25), 0.005
 """Root of the sum of squared increments from which on a joint tells: 5 deg/s do at 12 ms."""
 
 
-@dataclass(frozen=True, slots=True)
-class LagMemory:
-    """Snapshot of a `LagWatch`: its setpoints and sums, as bytes."""
-
-    setpoints: bytes
-    sums: bytes
-    rested: int
-    ipoc: int | None
-    ipoc_step: int
-    too_long: int
-    fault: str
-
-
-class LagWatch:
+class LagWatch(Part):
     """The lag of one robot's axes in one session.
 
     Args:
@@ -147,23 +134,3 @@ class LagWatch:
         mean_s = self._mean_s.copy()
         np.divide(self._sums[0], self._sums[1] / self._cycle_s, out=mean_s, where=moves)
         return moves, mean_s
-
-    def snapshot(self) -> LagMemory:
-        """Snapshot for `restore`."""
-        return LagMemory(
-            setpoints=self._setpoints.tobytes(),
-            sums=self._sums.tobytes(),
-            rested=self._rested,
-            ipoc=self._ipoc,
-            ipoc_step=self._ipoc_step,
-            too_long=self._too_long,
-            fault=self.fault,
-        )
-
-    def restore(self, memory: LagMemory) -> None:
-        """Go on from where another watch of this session was."""
-        for array, told in ((self._setpoints, memory.setpoints), (self._sums, memory.sums)):
-            array[:] = np.frombuffer(told).reshape(array.shape)
-        self._rested, self._too_long, self.fault = memory.rested, memory.too_long, memory.fault
-        self._ipoc, self._ipoc_step = memory.ipoc, memory.ipoc_step
-        self._moves, self._delay_s = self._mean()

@@ -3,9 +3,53 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+import numpy as np
 
 from deltaq_protocol.arrays import Array
+
+
+@dataclass(frozen=True)
+class Settling:
+    """How long the setpoint of one robot has rested, and where the robot was then.
+
+    Attributes:
+        tolerance: (n,) how far the robot may be from where it was sent [rad or m].
+        lag_cycles: cycles within which the drives are where they were sent.
+        cycles_at_rest: cycles for which the setpoint has rested, counted up to one more than the lag.
+        q_settled: (n,) measured configuration when the lag had passed [rad or m]; None before.
+    """
+
+    tolerance: Array
+    lag_cycles: int
+    cycles_at_rest: int = 0
+    q_settled: Array | None = None
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the drives have had the time to catch up."""
+        return self.cycles_at_rest > self.lag_cycles
+
+    def measured(self, q: Array) -> Self:
+        """The robot was measured at `q` (n,)."""
+        if not self.at_rest:
+            return replace(self, q_settled=None)
+        return self if self.q_settled is not None else replace(self, q_settled=q)
+
+    def sent(self, moves: bool) -> Self:
+        """A setpoint was sent, which moves or rests."""
+        cycles = 0 if moves else min(self.cycles_at_rest + 1, self.lag_cycles + 1)
+        return replace(self, cycles_at_rest=cycles)
+
+    def is_near(self, q: Array, other: Array) -> bool:
+        """Whether two places, each (n,), are no further apart than the tolerance."""
+        return bool((np.abs(q - other) <= self.tolerance).all())
+
+    def goes_on(self, q: Array) -> bool:
+        """Whether a robot at `q` (n,) has moved on since its drives had had the time."""
+        return self.q_settled is not None and not self.is_near(q, self.q_settled)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ sums up to zero, so it is undone whatever the KRC does with it, and no joint get
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections import deque
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from deltaq_cell.description import RobotDescription, RsiDescription
 from deltaq_cell.drive_lag import LONGEST_S, AxisLag, lag_fault
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.containment import Part
 from deltaq_services.robot_server.probe_trial import (
     Mode,
     Trial,
@@ -24,6 +25,43 @@ from deltaq_services.robot_server.probe_trial import (
     pulse_sums,
     triangle,
 )
+
+SESSIONS = 64
+"""Sessions that are remembered: a KRC that comes back after another was believed has its own correction still."""
+
+_Pair = tuple[tuple[float, ...], tuple[float, ...]]
+_SAME = 1e-9
+"""Differences that rounding makes of one setpoint [rad or m]."""
+
+
+class PulsesCutShort(Part):
+    """Pulses of a probe that another session of the KRC cut short: the next setpoint in the first session undoes them.
+
+    Without that each would be part of where the session after it begins, and whoever can begin sessions could walk the
+    robot by as many pulses as they like, though nothing was admitted.
+    """
+
+    def __init__(self) -> None:
+        self._last: _Pair | None = None
+        self._cut: deque[_Pair] = deque(maxlen=SESSIONS)
+
+    def sent(self, q_cmd: Array, setpoint: Array) -> None:
+        """A reply: `q_cmd` (n,) was sent, which is the `setpoint` (n,) and what a probe adds to it [rad or m]."""
+        self._last = tuple(q_cmd.tolist()), tuple(setpoint.tolist())
+
+    def cut_short(self) -> None:
+        """Another session begins."""
+        if self._last is not None:
+            self._cut.append(self._last)
+        self._last = None
+
+    def undone(self, q_start: Array) -> Array:
+        """The setpoint (n,) of a session that goes on from `q_start` (n,), without the pulse that it was left with."""
+        for q_cmd, setpoint in reversed(self._cut):
+            if (np.abs(np.array(q_cmd) - q_start) <= _SAME).all():
+                return np.array(setpoint)
+        return q_start
+
 
 ADRIFT = 3.0
 """A joint this many times a pulse's sum away from where the session began is moving by itself."""
@@ -39,34 +77,7 @@ _IPOC_WRAP = 2**32
 _REMEDY = "nothing is driven in this session: let the program call RSI_ON(#ABSOLUTE), and start it again"
 
 
-@dataclass(frozen=True, slots=True)
-class ProbeMemory:
-    """Snapshot of a `ModeProbe`; places [rad or m].
-
-    Attributes:
-        q_start: where its session began.
-        samples: of the trial that is under way.
-        cycles: of each sample, counted by the KRC's stamps.
-        lagging: which axis lags more than the gate presumes, and the remedy.
-    """
-
-    mode: Mode
-    unseen: tuple[str, ...]
-    q_start: tuple[float, ...]
-    offset: tuple[float, ...]
-    adrift_cycles: int
-    ended: bool
-    ipoc: int | None
-    ipoc_step: int
-    cycle: int
-    samples: tuple[tuple[float, ...], ...]
-    cycles: tuple[int, ...]
-    void: bool
-    lags: tuple[AxisLag | None, ...]
-    lagging: str
-
-
-class KinematicMode:
+class KinematicMode(Part):
     """The mode of a robot that is not a KUKA: it is always where it was sent, so no probe is needed."""
 
     mode = Mode.ABSOLUTE
@@ -89,14 +100,8 @@ class KinematicMode:
     def end(self) -> None:
         """Does nothing: there is no pulse to undo."""
 
-    def snapshot(self) -> None:
-        """None: there is no state."""
 
-    def restore(self, memory: ProbeMemory) -> None:
-        """Does nothing: there is no state."""
-
-
-class ModeProbe:
+class ModeProbe(Part):
     """The probe of one session.
 
     Args:
@@ -217,34 +222,6 @@ class ModeProbe:
     def end(self) -> None:
         """Undo the pulse that was added, and add no further one."""
         self._ended = True
-
-    def snapshot(self) -> ProbeMemory:
-        """Snapshot of the probe, for `restore`."""
-        return ProbeMemory(
-            mode=self.mode,
-            unseen=self.unseen,
-            q_start=tuple(self._q_start.tolist()),
-            offset=tuple(self._offset.tolist()),
-            adrift_cycles=self._adrift_cycles,
-            ended=self._ended,
-            ipoc=self._ipoc,
-            ipoc_step=self._ipoc_step,
-            cycle=self._cycle,
-            samples=tuple(self._samples),
-            cycles=tuple(self._cycles),
-            void=self._void,
-            lags=self.lags,
-            lagging=self._lagging,
-        )
-
-    def restore(self, memory: ProbeMemory) -> None:
-        """Go on from where another probe of this robot was."""
-        self.mode, self.unseen = memory.mode, memory.unseen
-        self._q_start, self._offset = np.array(memory.q_start), np.array(memory.offset)
-        self._adrift_cycles, self._ended = memory.adrift_cycles, memory.ended
-        self._ipoc, self._ipoc_step, self._cycle = memory.ipoc, memory.ipoc_step, memory.cycle
-        self._samples, self._cycles = list(memory.samples), list(memory.cycles)
-        self._void, self.lags, self._lagging = memory.void, memory.lags, memory.lagging
 
     def _is_adrift(self, q: Array) -> bool:
         away = bool((np.abs(q - self._q_start) > ADRIFT * self._size).any())

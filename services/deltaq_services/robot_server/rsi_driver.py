@@ -9,57 +9,75 @@ Only the setpoint moves the robot: any other answer repeats the correction that 
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.rsi import KrcTelegram, SensorCodec
+from deltaq_protocol.rsi import AxisMap, KrcTelegram, SensorCodec, load_ethernet_xml
 from deltaq_protocol.rsi.axes import DEG_PER_RAD, MM_PER_M
 from deltaq_protocol.rsi.layout import MAX_IPOC
-from deltaq_services.robot_server.cycle_meter import CycleMeter, MeterMemory
+from deltaq_protocol.rsi.sensor_codec import MAX_TELEGRAM_BYTES
+from deltaq_protocol.rsi.usual_telegram import usual_telegram
+from deltaq_services.containment import Part
+from deltaq_services.robot_server.crash_brake.core import CrashPlan
+from deltaq_services.robot_server.cycle_meter import CycleMeter
 from deltaq_services.robot_server.measurement import Measurement
-from deltaq_services.robot_server.plausibility import Plausibility
-from deltaq_services.robot_server.pulses_cut_short import SESSIONS
+from deltaq_services.robot_server.mode_probe import SESSIONS
 from deltaq_services.robot_server.reply_guard import ReplyFault, reply_fault
 from deltaq_services.robot_server.session import (
     IPOC_WRAP,
     STILL,
     Answer,
     Belief,
+    Plausibility,
     Session,
-    SessionMemory,
     TelegramKind,
 )
 
 
-@dataclass(frozen=True, slots=True)
-class DriverMemory:
-    """Snapshot of an `RsiDriver`; its arrays are never written to.
-
-    Attributes:
-        session: beliefs about the telegrams.
-        meter: of the KRC's cycle; None where nothing is measured.
-        origin: (n,) programmed position of the session [rad or m].
-        sent: (n,) correction that was sent last [rad or m].
-        earlier: the same two of sessions before, oldest first.
-        opened: RSI restarts.
-        outputs: digital outputs that were sent last.
-    """
-
-    session: SessionMemory
-    meter: MeterMemory | None
-    origin: Array | None
-    sent: Array | None
-    earlier: tuple[tuple[Array, Array], ...]
-    opened: bool
-    outputs: Mapping[str, bool]
+def sensor_codec(cell: CellDescription, robot: str, ethernet_xml: Path) -> SensorCodec:
+    """The PC's telegrams of a robot, from the file that its KRC has loaded."""
+    description = cell.robots[robot]
+    assert isinstance(description.driver, RsiDescription)  # asked only of robots that speak RSI
+    return SensorCodec(
+        load_ethernet_xml(ethernet_xml),
+        AxisMap.of(description.joint_names, description.units, description.driver.krc),
+        description.driver.inputs,
+        description.driver.outputs,
+        description.driver.stop,
+    )
 
 
-class RsiDriver:
+def crash_plan(cell: CellDescription, robot: str, ethernet_xml: Path) -> CrashPlan:
+    """What has to be known to brake a robot whose Robot Server has died, from the file that its KRC has loaded."""
+    description = cell.robots[robot]
+    driver = description.driver
+    assert isinstance(driver, RsiDescription)  # asked only of robots that speak RSI
+    codec = sensor_codec(cell, robot, ethernet_xml)
+    pattern, programmed = usual_telegram(load_ethernet_xml(ethernet_xml))
+    template, places = codec.template
+    return CrashPlan(
+        pattern=pattern,
+        elements=programmed,
+        most_bytes=MAX_TELEGRAM_BYTES,
+        template=template.decode(),
+        places=places,
+        commanded=tuple(codec.axes.commanded.tolist()),
+        outputs=len(driver.outputs),
+        most=tuple((description.max_velocity * cell.cycle_s).tolist()),
+        cycle_s=cell.cycle_s,
+        silence_s=cell.gate.krc_timeout_s,
+        lag_cycles=math.ceil(cell.gate.servo_lag_s / cell.cycle_s),
+        has_stop=driver.stop is not None,
+    )
+
+
+class RsiDriver(Part):
     """One RSI channel.
 
     Args:
@@ -182,23 +200,6 @@ class RsiDriver:
     def limits(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Least and greatest correction of the session, (n,) each [rad or m]."""
         return tuple(self._lower), tuple(self._upper)
-
-    def snapshot(self) -> DriverMemory:
-        """Snapshot of all that answers depend on, for `restore`."""
-        session, earlier = self.session.snapshot(), tuple(self._earlier)
-        meter = None if self.meter is None else self.meter.snapshot()
-        return DriverMemory(session, meter, self._origin, self._sent, earlier, self._opened, self._outputs)
-
-    def restore(self, memory: DriverMemory) -> None:
-        """Go on from where another driver of this robot was."""
-        self.session.restore(memory.session)
-        if self.meter is not None and memory.meter is not None:
-            self.meter.restore(memory.meter)
-        self._sent, self._opened, self._outputs = memory.sent, memory.opened, memory.outputs
-        self._earlier = deque(memory.earlier, maxlen=SESSIONS)
-        self._origin = None
-        if memory.origin is not None:
-            self._begin_at(memory.origin)
 
     def _opens(self, telegram: KrcTelegram) -> None:
         """A KR C2 begins with a telegram that has nothing but its IPOC."""

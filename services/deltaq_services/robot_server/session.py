@@ -6,15 +6,153 @@ new one changes what every correction means, so one telegram is never enough.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
 
+from deltaq_cell.description import RobotDescription
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.endpoint import Address
 from deltaq_protocol.rsi import KrcTelegram
-from deltaq_services.robot_server.plausibility import Plausibility
+from deltaq_services.containment import Part
+
+LIMIT_MARGIN_RAD = 0.35
+LIMIT_MARGIN_M = 0.2
+"""How far outside its limits a joint may be reported. A cell's limits lie inside those of the robot, and an operator
+may have jogged it there; a robot further out is not driven."""
+
+VELOCITY_MARGIN = 1.5
+"""How much faster than its limit a joint may be reported to move: servos overshoot, telegrams are not evenly apart."""
+
+RESOLUTION_RAD = 0.0035
+RESOLUTION_M = 0.0002
+"""Rounding of two telegrams: a controller with one decimal rounds to 0.1 deg or mm."""
+
+
+@dataclass(frozen=True, slots=True)
+class PositionFault:
+    """Why a reported position is not believed: which joint, what is wrong, the value and its bound [rad or m]."""
+
+    joint: str
+    what: str
+    value: float
+    bound: float
+
+    def __str__(self) -> str:
+        return f"{self.joint} {self.what}: {self.value:.6g}, allowed {self.bound:.6g} (rad or m)"
+
+
+@dataclass(frozen=True, slots=True)
+class Plausibility:
+    """Bounds of plausible positions and motions of one robot's joints, each (n,) [rad or m].
+
+    A KRC's telegram has no checksum beyond UDP's, and anybody on the network can write one. A position is
+    believed if it lies where the robot can be, and no further from the last one than the joints can have moved since.
+
+    Attributes:
+        joints: names, for messages.
+        lower: least position that is believed.
+        upper: greatest position that is believed.
+        reach: largest motion of a joint in one cycle.
+        resolution: rounding of a distance by the telegram's decimals.
+    """
+
+    joints: tuple[str, ...]
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    reach: tuple[float, ...]
+    resolution: tuple[float, ...]
+
+    @classmethod
+    def of(cls, robot: RobotDescription, cycle_s: float) -> Plausibility:
+        """The bounds of a robot with sample time `cycle_s`."""
+        margin = [LIMIT_MARGIN_RAD if unit == "rad" else LIMIT_MARGIN_M for unit in robot.units]
+        return cls(
+            robot.joint_names,
+            tuple((robot.lower - margin).tolist()),
+            tuple((robot.upper + margin).tolist()),
+            tuple((VELOCITY_MARGIN * cycle_s * robot.max_velocity).tolist()),
+            tuple(RESOLUTION_RAD if unit == "rad" else RESOLUTION_M for unit in robot.units),
+        )
+
+    def of_place(self, q: Sequence[float]) -> PositionFault | None:
+        """Why no robot can be at `q` (n,) [rad or m], or None."""
+        for joint, value, lower, upper in zip(self.joints, q, self.lower, self.upper, strict=True):
+            if not value >= lower:
+                return PositionFault(joint, "is below its limit and a margin", value, lower)
+            if not value <= upper:
+                return PositionFault(joint, "is above its limit and a margin", value, upper)
+        return None
+
+    def of_motion(self, q: Sequence[float], last: Sequence[float], cycles: int) -> PositionFault | None:
+        """Why a robot that was at `last` cannot be at `q` (n,) [rad or m] that many cycles later, or None."""
+        for number, joint in enumerate(self.joints):
+            bound = cycles * self.reach[number] + self.resolution[number]
+            distance = abs(q[number] - last[number])
+            if not distance <= bound:
+                return PositionFault(joint, f"cannot have moved so far in {cycles} cycles", distance, bound)
+        return None
+
+
+class DatagramSource(StrEnum):
+    """Where a datagram comes from; all but the KRC's are dropped, and counted under these names."""
+
+    KRC = "telegrams_from_krc"
+    FOREIGN = "telegrams_foreign"
+    """From another address than the cell gives to the KRC, or from no port that could be answered."""
+    SECOND_KRC = "telegrams_second_krc"
+    """From the right address, but another port than that of the KRC that is being answered."""
+
+
+class Peer(Part):
+    """The one KRC whose telegrams a Robot Server has believed, and no other sender.
+
+    Its port is not configured: a KRC, and an emulator, choose one when they start. The port of the first valid telegram
+    is kept until the KRC has been silent for `silence_s`; then the next valid telegram determines it.
+
+    Args:
+        krc_address: the KRC's address; None on the loopback, where any sender may be the first.
+        silence_s: time of silence after which the KRC may send from another port [s].
+
+    Attributes:
+        address: of the KRC; None while it is not known.
+        stranger: the sender dropped last, for people; empty if none was.
+    """
+
+    def __init__(self, krc_address: str | None, silence_s: float) -> None:
+        self.address: Address | None = None
+        self.stranger = ""
+        self._krc_address = krc_address
+        self._silence_s = silence_s
+        self._heard_s = 0.0
+
+    def judge(self, sender: Address, now_s: float) -> DatagramSource:
+        """The sender of a datagram, before a byte of it is read.
+
+        Args:
+            sender: its address and port.
+            now_s: on a monotonic clock.
+        """
+        if sender == self.address:
+            return DatagramSource.KRC
+        host, port = sender
+        if port == 0 or self._krc_address not in (None, host):
+            self.stranger = f"a stranger at {host}:{port}"
+            return DatagramSource.FOREIGN
+        if self.address is None or now_s - self._heard_s > self._silence_s:
+            return DatagramSource.KRC
+        self.stranger = f"a second KRC at {host}:{port}"
+        return DatagramSource.SECOND_KRC
+
+    def believed(self, sender: Address, now_s: float) -> None:
+        """A telegram of this sender was valid."""
+        if sender != self.address:
+            self.stranger = ""  # it may have been this one
+        self.address, self._heard_s = sender, now_s
+
 
 CONFIRMATIONS = 4
 """Telegrams in a row that agree before a session is believed. Two agree when one is duplicated, three give the
@@ -124,23 +262,7 @@ class Run:
     newest: KrcTelegram
 
 
-@dataclass(frozen=True, slots=True)
-class SessionMemory:
-    """Snapshot of a `Session`.
-
-    Attributes:
-        time_s: when its newest telegram came.
-        run: telegrams in a row that may be those of another session.
-    """
-
-    belief: Belief
-    step: int | None
-    last: KrcTelegram | None
-    time_s: float
-    run: Run | None
-
-
-class Session:
+class Session(Part):
     """Follows the sessions of one KRC by its telegrams.
 
     Args:
@@ -206,15 +328,6 @@ class Session:
         self._run = None
         if self.belief is Belief.BELIEVED:
             self.belief = Belief.DOUBTED
-
-    def snapshot(self) -> SessionMemory:
-        """Snapshot of all that judgements depend on, for `restore`."""
-        return SessionMemory(self.belief, self.step, self.last, self._time_s, self._run)
-
-    def restore(self, memory: SessionMemory) -> None:
-        """Go on from where another session of this robot was."""
-        self.belief, self.step, self.last = memory.belief, memory.step, memory.last
-        self._time_s, self._run = memory.time_s, memory.run
 
     def _goes_on(self, telegram: KrcTelegram, time_s: float) -> None:
         self.last, self._time_s = telegram, time_s

@@ -19,10 +19,10 @@ from deltaq_services.outputs import ToRobot
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.crash_brake.core import CrashBrake, CrashPlan
 from deltaq_services.robot_server.crash_brake.record import LastReply
-from deltaq_services.robot_server.crash_brake.record_maker import CrashRecordMaker
+from deltaq_services.robot_server.crash_brake.watch import CrashRecordMaker
 from deltaq_services.robot_server.measurement import Measurement
-from deltaq_services.robot_server.peer import DatagramSource, Peer
 from deltaq_services.robot_server.rsi_driver import RsiDriver
+from deltaq_services.robot_server.session import DatagramSource, Peer
 from deltaq_testing.virtual_cell.parts import Life, VirtualProcess
 
 HERE = "127.0.0.1"

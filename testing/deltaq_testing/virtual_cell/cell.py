@@ -21,7 +21,7 @@ from deltaq_protocol.messages import Message, ResetRequest, RobotState, Status, 
 from deltaq_protocol.topic import Realm
 from deltaq_services.hli.core import HliCore
 from deltaq_services.outputs import Output, Sender, ToSender, ToTopic
-from deltaq_services.robot_server.krc_file import crash_plan
+from deltaq_services.robot_server.rsi_driver import crash_plan
 from deltaq_services.sim.core import Sim
 from deltaq_testing.virtual_cell.arm import KrcArm, VirtualArm
 from deltaq_testing.virtual_cell.clients import (

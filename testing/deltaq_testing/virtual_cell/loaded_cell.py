@@ -17,8 +17,7 @@ from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Description, ToolPose
 from deltaq_protocol.rsi import load_ethernet_xml
 from deltaq_services.robot_server.core import RobotServer
-from deltaq_services.robot_server.krc_file import sensor_codec
-from deltaq_services.robot_server.rsi_driver import RsiDriver
+from deltaq_services.robot_server.rsi_driver import RsiDriver, sensor_codec
 
 
 @dataclass(frozen=True)

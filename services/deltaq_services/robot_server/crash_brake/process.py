@@ -19,9 +19,8 @@ import socket
 import sys
 import time
 
-from deltaq_services.robot_server.crash_brake.core import CrashBrake, CrashPlan
+from deltaq_services.robot_server.crash_brake.core import CrashBrake, CrashPlan, PlainTelegrams
 from deltaq_services.robot_server.crash_brake.memory import CrashMemory
-from deltaq_services.robot_server.crash_brake.plain_telegram import PlainTelegrams
 from deltaq_services.robot_server.crash_brake.record import CrashRecords, PeerAddress
 
 _MOST_WAITING = 1024

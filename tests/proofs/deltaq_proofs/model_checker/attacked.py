@@ -29,7 +29,7 @@ from deltaq_proofs.model_checker.system import System, at_hand
 from deltaq_proofs.model_checker.system_state import KEPT, SentState, SystemState, Turn
 from deltaq_protocol.endpoint import Address
 from deltaq_services.robot_server.measurement import Measurement
-from deltaq_services.robot_server.peer import DatagramSource
+from deltaq_services.robot_server.session import DatagramSource
 
 _ELSEWHERE = 3 * STEP
 """How far off a forged position is: no further than the joint could have moved [m]."""

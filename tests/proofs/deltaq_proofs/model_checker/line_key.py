@@ -22,7 +22,7 @@ _DELAYS_APART = 1
 def line_key(line: RsiLine, tick: int, place: Callable[[float], int]) -> tuple[Any, ...]:
     """IPOCs by their order and distance, times by their age, places in steps from the setpoint, as `place` tells."""
     driver, session, krc = line.driver, line.driver.session, line.krc
-    last, run = session.last, session.run
+    last, run = session.last, session._run
     newest = None if run is None else run.newest
     own = [one for one in (line.sent, line.overtaken) if one is not None]
     read = [one for one in (last, newest) if one is not None]
@@ -51,7 +51,7 @@ def line_key(line: RsiLine, tick: int, place: Callable[[float], int]) -> tuple[A
         return None if value is None else place(float(value[0]))
 
     zero = place(0.0)
-    sent, origin = driver.sent, driver.origin
+    sent, origin = driver._sent, driver._origin
     return (
         line.attacks_left,
         (ipoc[krc.ipoc], place(krc.programmed), place(krc.stands), krc.answered, delay[krc.delay]),
@@ -61,13 +61,13 @@ def line_key(line: RsiLine, tick: int, place: Callable[[float], int]) -> tuple[A
         of_own(line.overtaken),
         line.silent,
         None if line.clock is None else (ipoc[line.clock], line.poses_at, line.posed),
-        (session.belief, session.step, of_read(last), age(session.time_s)),
+        (session.belief, session.step, of_read(last), age(session._time_s)),
         None if run is None else (run.count, run.step, age(run.first_s), of_read(newest)),
-        tuple((of_array(earlier), of_array(earlier + there)) for earlier, there in driver.earlier),
+        tuple((of_array(earlier), of_array(earlier + there)) for earlier, there in driver._earlier),
         (
             of_array(origin),
             None if origin is None or sent is None else of_array(origin + sent),
-            driver.opened,
+            driver._opened,
         ),
-        (line.peer.address, age(line.peer.heard_s)),
+        (line.peer.address, age(line.peer._heard_s)),
     )

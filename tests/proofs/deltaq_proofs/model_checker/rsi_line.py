@@ -20,8 +20,8 @@ from deltaq_protocol.arrays import Array
 from deltaq_protocol.endpoint import Address
 from deltaq_protocol.rsi import KrcTelegram, SensorCodec
 from deltaq_services.robot_server.measurement import Measurement
-from deltaq_services.robot_server.peer import DatagramSource, Peer, PeerMemory
-from deltaq_services.robot_server.rsi_driver import DriverMemory, RsiDriver
+from deltaq_services.robot_server.rsi_driver import RsiDriver
+from deltaq_services.robot_server.session import DatagramSource, Peer
 
 KRC_AT: Address = ("127.0.0.1", 1)
 SECOND_AT: Address = ("127.0.0.1", 2)
@@ -113,7 +113,7 @@ class RsiLine:
     """What RSI's wire adds to a moment.
 
     Attributes:
-        driver, peer: the memory of these two of the Robot Server.
+        driver, peer: snapshots of these two of the Robot Server.
         krc: at the other end.
         heard: tick of the last telegram that the core was handed.
         pending: how far the certified increments lead that the KRC was not seen to take, each the sum so far [m].
@@ -126,8 +126,8 @@ class RsiLine:
         posed: it has sent in this cycle.
     """
 
-    driver: DriverMemory
-    peer: PeerMemory
+    driver: RsiDriver
+    peer: Peer
     krc: TrueKrc
     heard: int
     attacks_left: int
@@ -172,7 +172,7 @@ class RsiLine:
         return tick - self.heard >= KRC_TIMEOUT_CYCLES
 
 
-def new_line(driver: DriverMemory, peer: PeerMemory, attacks: int) -> RsiLine:
+def new_line(driver: RsiDriver, peer: Peer, attacks: int) -> RsiLine:
     """The line as a KRC and a Robot Server find it that have just started."""
     return RsiLine(driver, peer, TrueKrc(ipoc=1000), heard=0, attacks_left=attacks)
 

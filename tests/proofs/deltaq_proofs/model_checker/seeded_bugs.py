@@ -18,8 +18,14 @@ from deltaq_protocol.rsi import KrcTelegram
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.guards import Refusal
 from deltaq_services.robot_server.measurement import Measurement
-from deltaq_services.robot_server.peer import DatagramSource, Peer
-from deltaq_services.robot_server.session import Belief, Judgement, Session, TelegramKind
+from deltaq_services.robot_server.session import (
+    Belief,
+    DatagramSource,
+    Judgement,
+    Peer,
+    Session,
+    TelegramKind,
+)
 from deltaq_services.sim.core import Sim
 from deltaq_services.sim.inbox import Inbox
 from deltaq_services.sim.orders import Orders

@@ -179,9 +179,11 @@ class System(GateSide):
 
     def _server_crash(self, system_state: SystemState) -> SystemState:
         assert system_state.server.state is not None  # a crash is not offered before the first state
+        successor = self._blank_server.snapshot()
+        successor.process = system_state.server.process + 1
         return replace(
             system_state,
-            server=replace(self._blank_server, process=system_state.server.process + 1),
+            server=successor,
             q=_sent(system_state.server.state),
             new_admission=False,
             new_supervision=False,
@@ -191,7 +193,7 @@ class System(GateSide):
 
 def at_hand(system_state: SystemState, handed: Admission | None) -> tuple[Admission, ...]:
     """What a Robot Server has: what was handed to it before and is not due yet, and now."""
-    kept = system_state.server.admissions
+    kept = system_state.server.waiting
     return kept if handed is None else (*kept, handed)
 
 

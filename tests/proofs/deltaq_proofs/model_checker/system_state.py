@@ -19,7 +19,7 @@ from deltaq_proofs.model_checker.rsi_line import RsiLine
 from deltaq_proofs.model_checker.safety_monitor import SafetyMonitor
 from deltaq_proofs.model_checker.used_requests import UsedRequests
 from deltaq_protocol.guarded import Admission, GateMemory, Request, ServerState, Supervision
-from deltaq_services.robot_server.snapshot import ServerMemory
+from deltaq_services.robot_server.core import RobotServer
 
 KEPT = 2
 """Messages of a kind that may be under way at once; older ones are lost for good."""
@@ -63,8 +63,8 @@ class SystemState:
     """A moment. What is in flight stays for others to duplicate, delay or put before what is newer.
 
     Attributes:
-        server: the memory of the Robot Server.
-        gate: that of the SIM.
+        server: a snapshot of the Robot Server.
+        gate: the memory of the SIM.
         turn: who acts next.
         faults_left: how many more faults may happen.
         ticks: rises with every telegram or silence.
@@ -77,7 +77,7 @@ class SystemState:
         line: RSI's wire, where it is one that may be attacked.
     """
 
-    server: ServerMemory
+    server: RobotServer
     gate: GateMemory
     turn: Turn
     faults_left: int
@@ -119,7 +119,7 @@ class _Key:
         states = [sent.message for sent in system_state.states]
         states += [one for one in (state, system_state.server.state) if one is not None]
         admissions = [*system_state.admissions]
-        admissions += [*gate.tracker.in_flight, *system_state.server.admissions]
+        admissions += [*gate.tracker.in_flight, *system_state.server.waiting]
         cycles = [-1, 0, gate.decided_cycle, *(s.cycle for s in states), *(a.cycle for a in admissions)]
         for request in (gate.waiting, gate.decided):
             if request is not None:
@@ -129,7 +129,7 @@ class _Key:
         for admission in admissions:
             sequences += [admission.sequence, admission.follows_sequence]
         self._sequence = ranks(sequences, 1)
-        resets = [0, gate.orders.resets, system_state.server.resets, *(s.resets for s in states)]
+        resets = [0, gate.orders.resets, system_state.server._resets, *(s.resets for s in states)]
         resets += [admission.follows_resets for admission in admissions]
         self._resets = ranks([*resets, *(sent.message.resets for sent in system_state.supervisions)], 2)
         self._process = ranks([s.process for s in states], 1)
@@ -149,17 +149,17 @@ class _Key:
             system_state.new_admission,
             system_state.new_supervision,
             system_state.monitor,
-            min(server.cycles_without_gate, _PAST_TIMEOUT),
-            min(server.cycles_missed, _PAST_TIMEOUT),
-            server.cycles_at_rest,
-            None if server.q_settled is None else self._q(server.q_settled[0]),
+            min(server._cycles_without_gate, _PAST_TIMEOUT),
+            min(server._cycles_missed, _PAST_TIMEOUT),
+            server._settling.cycles_at_rest,
+            None if server._settling.q_settled is None else self._q(server._settling.q_settled[0]),
             server.motion_stop,
-            self._resets[server.resets],
+            self._resets[server._resets],
             self._state(server.state),
             (system_state.gate.epoch, self._sequence[system_state.gate.sequence]),
             self._state(state),
             tuple(self._admission(admission) for admission in gate.tracker.in_flight),
-            tuple(self._admission(admission) for admission in server.admissions),
+            tuple(self._admission(admission) for admission in server.waiting),
             tuple(self._q(setpoint[0]) for setpoint in gate.tracker.history),
             tuple(self._process[one] for one in gate.tracker.ended_processes if one in self._process),
             gate.orders.standing_stop,
@@ -172,7 +172,7 @@ class _Key:
             self._request(gate.waiting),
             self._request(gate.decided),
             system_state.used.key(
-                (*system_state.admissions, *server.admissions), (gate.waiting or gate.decided) is not None
+                (*system_state.admissions, *server.waiting), (gate.waiting or gate.decided) is not None
             ),
             tuple((self._state(sent.message), sent.silent) for sent in system_state.states),
             tuple(self._admission(admission) for admission in system_state.admissions),

@@ -22,8 +22,8 @@ from deltaq_proofs.storm.overheard import Overheard
 from deltaq_proofs.storm.witness import Passed, UnexplainedError, Witness
 from deltaq_protocol.endpoint import Address
 from deltaq_protocol.rsi import AxisMap, KrcCodec, load_ethernet_xml
-from deltaq_services.robot_server.krc_file import sensor_codec
 from deltaq_services.robot_server.probe_trial import pulse_offsets
+from deltaq_services.robot_server.rsi_driver import sensor_codec
 from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 from deltaq_testing.virtual_cell.parts import Process
 
