@@ -21,7 +21,7 @@ from deltaq_protocol.messages import Increment, LeaseAction, LeaseRequest
 from deltaq_protocol.proof import Prover
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.audit import Audit
-from deltaq_services.hli.deeds import Deed
+from deltaq_services.hli.commands import Deed
 from deltaq_services.hli.line_encryption import line_encryption
 from deltaq_services.outputs import ClientOrigin
 

@@ -18,7 +18,7 @@ from deltaq_services.hli.audit import (
     CountedDeed,
     DeedGroups,
 )
-from deltaq_services.hli.deeds import Deed
+from deltaq_services.hli.commands import Deed
 from deltaq_services.outputs import ClientOrigin
 
 

@@ -22,8 +22,8 @@ from deltaq_protocol.messages import (
 )
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.client_roles import ClientRoles
+from deltaq_services.hli.commands import Deed
 from deltaq_services.hli.core import HliCore
-from deltaq_services.hli.deeds import Deed
 from deltaq_services.outputs import Sender, ToSender
 
 

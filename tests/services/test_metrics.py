@@ -20,8 +20,7 @@ from small_cell import small_cell, told, tool_pose
 from deltaq_protocol import topics
 from deltaq_protocol.client import connect
 from deltaq_services.hli.shell import Hli
-from deltaq_services.metrics.families import Delays
-from deltaq_services.metrics.shell import Exporter
+from deltaq_services.metrics.shell import Delays, Exporter
 
 DASHBOARD = Path(__file__).parents[2] / "deploy" / "grafana" / "deltaq.json"
 

@@ -108,7 +108,7 @@ def hz(
     from deltaq_deploy.command.console import print_json, print_table
     from deltaq_deploy.launch.cell_connection import Where, describe, listen
     from deltaq_deploy.launch.rates import rate_of
-    from deltaq_services.lagging import lags
+    from deltaq_services.rate_limit import lags
 
     where = Where.of(cell, url)
     description = describe(where, "deltaq hz")

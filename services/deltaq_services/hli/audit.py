@@ -26,7 +26,7 @@ from deltaq_protocol.audit import (
 )
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.hli.deeds import Deed
+from deltaq_services.hli.commands import Deed
 from deltaq_services.outputs import ClientOrigin
 from deltaq_services.rate_limit import Pace, RateLimit
 

@@ -1,17 +1,80 @@
-"""Commands to the gate that await their answer: stop, reset, digital outputs."""
+"""Commands to the gate that await their answer, and the deeds that the audit log is told of."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from deltaq_protocol import topics
-from deltaq_protocol.audit import AuditOutcome
+from deltaq_protocol.audit import AuditKind, AuditOutcome
 from deltaq_protocol.guarded import Command, CommandReply
 from deltaq_protocol.messages import MOST_COUNTED_ON, DryRunReply, Error, Message
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 from deltaq_services.containment import Part
-from deltaq_services.hli.deeds import Tell, deed_of, told_to_nobody
 from deltaq_services.outputs import NOBODY, ClientOrigin, Output, Sender, ToSender, ToTopic
+
+
+@dataclass(frozen=True, slots=True)
+class Deed:
+    """One thing that was done or tried, for the audit log, whose shell stamps it with the time of day.
+
+    Attributes:
+        what: it was.
+        outcome: how it ended, so far.
+        origin: the client that did it.
+        robot: the robot that it concerned; None for no robot or all robots.
+        code: why it was refused.
+        text: what the client was told.
+    """
+
+    what: AuditKind
+    outcome: AuditOutcome
+    origin: ClientOrigin
+    robot: str | None = None
+    code: ReasonCode | None = None
+    text: str = ""
+
+
+Tell = Callable[[Deed], None]
+"""Takes what was done, where it is decided."""
+
+KIND_OF_REQUEST = {
+    "stop": AuditKind.STOP,
+    "reset": AuditKind.RESET,
+    "io": AuditKind.OUTPUTS,
+    "contact": AuditKind.CONTACT,
+    "dry_run": AuditKind.DRY_RUN,
+    "view": AuditKind.VIEW,
+}
+"""By the type of the request, which is the kind of the command that comes of it."""
+
+
+def told_to_nobody(_deed: Deed) -> None:
+    """Takes the deeds of a core without an audit log, and forgets them."""
+
+
+def deed_of(
+    command: Command,
+    outcome: AuditOutcome,
+    origin: ClientOrigin,
+    text: str = "",
+    code: ReasonCode | None = None,
+) -> Deed:
+    """The outcome of a command to the gate; without a text, the command's request."""
+    kind = KIND_OF_REQUEST[command.kind]
+    return Deed(kind, outcome, origin, command.robot, code, text or _asked_for(command))
+
+
+def _asked_for(command: Command) -> str:
+    match command.kind:
+        case "stop":
+            return f"{command.robot or 'every robot'}: {command.reason}"
+        case "io":
+            return ", ".join(f"{name} {'on' if on else 'off'}" for name, on in command.outputs.items())
+        case "contact":
+            return f"{command.contact} {'allowed' if command.allowed else 'forbidden'}"
+    return ""
+
 
 REPLY_DEADLINE_S = 0.5
 """Silence of the gate after which a command counts as not confirmed."""

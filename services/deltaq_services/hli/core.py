@@ -43,15 +43,14 @@ from deltaq_protocol.messages import (
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 from deltaq_services.containment import Containment, Part
 from deltaq_services.hli.client_roles import ClientRoles
-from deltaq_services.hli.deeds import Deed, Tell, told_to_nobody
+from deltaq_services.hli.commands import Deed, Tell, told_to_nobody
 from deltaq_services.hli.increments import Increments
 from deltaq_services.hli.leases import Leases
 from deltaq_services.hli.requests import Requests
 from deltaq_services.hli.robot_link import RobotLink
 from deltaq_services.hli.state import HliState, answered_by_error
-from deltaq_services.lagging import Heard
 from deltaq_services.outputs import Output, Sender, ToSender, ToTopic
-from deltaq_services.rate_limit import Pace
+from deltaq_services.rate_limit import Heard, Pace
 
 
 class HliCore(Part):

@@ -10,7 +10,7 @@ from deltaq_protocol.codec import InvalidMessageError
 from deltaq_protocol.guarded import Request
 from deltaq_protocol.messages import EarlierIncrement, Error, Increment, Outcome, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.hli.deeds import Deed
+from deltaq_services.hli.commands import Deed
 from deltaq_services.hli.leases import Lease
 from deltaq_services.hli.playout import MOST_CARRIED_CYCLES, Asked, Fate, Left, PlayoutBuffer
 from deltaq_services.hli.robot_link import RobotLink

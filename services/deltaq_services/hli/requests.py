@@ -29,7 +29,7 @@ from deltaq_protocol.messages import (
 )
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 from deltaq_services.hli.client_roles import ClientRoles
-from deltaq_services.hli.deeds import KIND_OF_REQUEST, Deed, deed_of
+from deltaq_services.hli.commands import KIND_OF_REQUEST, Deed, deed_of
 from deltaq_services.hli.leases import Lease, Sequence
 from deltaq_services.hli.state import HliState
 from deltaq_services.outputs import ClientOrigin, Output, Sender, ToSender

@@ -24,8 +24,8 @@ from deltaq_protocol.topic import Realm
 from deltaq_services.hli.audit import Audit
 from deltaq_services.hli.authentication import Authentication
 from deltaq_services.hli.client_roles import ClientRoles
+from deltaq_services.hli.commands import Deed
 from deltaq_services.hli.core import HliCore
-from deltaq_services.hli.deeds import Deed
 from deltaq_services.hli.guarded_front import GuardedFront
 from deltaq_services.hli.open_front import OpenFront
 from deltaq_services.hli.tcp_front import TcpFront

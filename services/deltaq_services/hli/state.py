@@ -25,8 +25,7 @@ from deltaq_protocol.messages import (
 )
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 from deltaq_services.containment import Part
-from deltaq_services.hli.commands import Commands
-from deltaq_services.hli.deeds import Deed, Tell, deed_of, told_to_nobody
+from deltaq_services.hli.commands import Commands, Deed, Tell, deed_of, told_to_nobody
 from deltaq_services.hli.leases import Lease, Leases
 from deltaq_services.hli.playout import Asked, CarriedMotion
 from deltaq_services.hli.robot_link import AdmittedAhead, RobotLink

@@ -24,7 +24,7 @@ from deltaq_protocol.messages import (
     StopRequest,
 )
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.hli.deeds import Deed
+from deltaq_services.hli.commands import Deed
 from deltaq_services.hli.line_encryption import CERTIFICATE_FILE, is_overheard
 from deltaq_services.hli.line_requests import MAX_LINE_BYTES, ReceivedLines, hello_of, of_client, request_type
 from deltaq_services.hli.newcomers import identity_of

@@ -12,7 +12,7 @@ from deltaq_protocol.audit import AuditKind, AuditOutcome
 from deltaq_protocol.codec import to_line
 from deltaq_protocol.messages import Error, Hello, RobotState
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.hli.deeds import Deed
+from deltaq_services.hli.commands import Deed
 from deltaq_services.hli.newcomers import HANDSHAKE_S, Handshake, Newcomers
 from deltaq_services.hli.places import MAX_CONNECTIONS, MAX_OF_A_PEER, LineTurns, Place, Places, WaitingPlaces
 from deltaq_services.hli.port import Port
