@@ -55,9 +55,9 @@ _Sample = tuple[_Labels, float]
 def families(status: Status | None) -> Iterator[Metric]:
     """A cell's status as families of metrics.
 
-    What an alarm or a plot asks for has a family of its own. Every counter of every service is in `deltaq_counter_total`
-    as well, under the name that the reference explains. No label is ever text that a client chose: whoever may name
-    itself could make series without end.
+    What an alarm or a plot asks for has a family of its own. Every counter of every service is in
+    `deltaq_counter_total` as well, under the name that the reference explains. No label is ever text that a client
+    chose: whoever may name itself could make series without end.
 
     Args:
         status: status of the cell; None if no answer came, which the metrics show too.
