@@ -1,4 +1,4 @@
-"""Rates of messages: how many a sender may send, when the next is due, which streams lag. Told the time by its users."""
+"""Rates of messages: how many a sender may send, when the next is due, which streams lag. Users pass the time in."""
 
 from __future__ import annotations
 

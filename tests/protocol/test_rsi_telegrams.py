@@ -128,7 +128,7 @@ def test_a_kr_c2_reports_linear_axes_times_180_over_pi_but_takes_millimetres() -
 def test_the_first_telegram_of_a_kr_c2_has_only_its_ipoc() -> None:
     first = KrcCodec.encode_ipoc_only(77)
     assert first == b'<Rob Type="KUKA"><IPOC>77</IPOC></Rob>'
-    assert SensorCodec(CANONICAL, ARM_AXES).decode(first) == (77, None, None, None, {}, None)
+    assert SensorCodec(CANONICAL, ARM_AXES).decode(first) == (77, None, None, None, {}, None, False)
 
 
 def test_the_tags_of_the_corrections_are_those_of_the_file() -> None:

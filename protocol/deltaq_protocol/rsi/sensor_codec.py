@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from operator import itemgetter
 from types import MappingProxyType
 from typing import NamedTuple
 from xml.sax.saxutils import escape
@@ -28,8 +29,10 @@ from deltaq_protocol.rsi.layout import (
     receive_fields,
     send_fields,
 )
+from deltaq_protocol.rsi.usual_telegram import usual_telegram
 
 MAX_TELEGRAM_BYTES = 4096
+_POSE_SCALE = (1.0 / MM_PER_M,) * 3 + (1.0 / DEG_PER_RAD,) * 3
 MAX_TEXT = 80
 _MAX_CORRECTION = 1e6
 # some controllers write TYPE
@@ -46,19 +49,27 @@ class KrcTelegram(NamedTuple):
         q: (n,) measured joints [rad or m]; None in the first telegram of a KR C2, which has nothing but
             its IPOC.
         delay: late packets so far, as the controller counts them; None if it does not send them.
-        rist: actual pose of the tool, X, Y, Z [m] and A, B, C [rad], `R = Rz(A) Ry(B) Rx(C)`;
-            None if not sent.
+        pose: of the tool, as it was written; None if not sent. `rist` reads it.
         inputs: digital inputs by name.
         q_programmed: (n,) setpoint of the programmed path, which corrections do not move; None if not sent.
-            When it changes, a new RSI session has begun.
+            When it changes, a new RSI session has begun. While it is written the same, it is the same object.
+        is_usual: whether the telegram has the layout of `usual_telegram`.
     """
 
     ipoc: int
     q: Array | None
     delay: int | None
-    rist: tuple[float, ...] | None
+    pose: tuple[bytes, ...] | None
     inputs: dict[str, bool]
     q_programmed: Array | None
+    is_usual: bool = False
+
+    @property
+    def rist(self) -> tuple[float, ...] | None:
+        """Actual pose of the tool, X, Y, Z [m] and A, B, C [rad], `R = Rz(A) Ry(B) Rx(C)`; None if not sent."""
+        if self.pose is None:
+            return None
+        return tuple(float(value) * scale for value, scale in zip(self.pose, _POSE_SCALE, strict=True))
 
 
 class SensorCodec:
@@ -142,12 +153,13 @@ class SensorCodec:
         self._input_places = {name: place_of[field] for name, field in digital.items()}
         self.has_programmed = self._programmed_places is not None
         self._per_reported = 1.0 / self.axes.reported
-        self._pose_scale = (1.0 / MM_PER_M,) * 3 + (1.0 / DEG_PER_RAD,) * 3
+        self._last_programmed: tuple[list[bytes], Array] | None = None
 
         def value(field: Field) -> str:
             return f"({NUMBER})" if field in wanted else '[^"<]*'
 
         self._pattern = self._compile(document("Rob", _TYPE, self._fields, value, r"\s*"))
+        self._usual = re.compile(usual_telegram(self._config, wanted)[0].encode())
         self._ipoc_only = self._compile(document("Rob", _TYPE, (), value, r"\s*"))
 
     @staticmethod
@@ -163,7 +175,7 @@ class SensorCodec:
             field: name for name, field in digital_fields(self._config, "RECEIVE", fields, signals).items()
         }
         joints = len(self.axes)
-        self._outputs = tuple(outputs)
+        self._outputs, self._known_outputs = tuple(outputs), frozenset(outputs)
         self.has_text = any(field.element.internal == "EStr" for field in fields)
         # the template's places, as indices into corrections, then outputs, then text, then IPOC, then stop
         self._places: list[int] = []
@@ -187,6 +199,8 @@ class SensorCodec:
 
         text = document("Sen", f'Type="{self._config.sentype}"', fields, value)
         self._places.append(joints + len(outputs) + 1)
+        self._in_places = itemgetter(*self._places)
+        self._all_off = (False,) * len(outputs)
         self._template = text.replace("%IPOC%", "%d").encode()
 
     def decode(self, datagram: bytes) -> KrcTelegram:
@@ -195,24 +209,29 @@ class SensorCodec:
         Raises:
             TelegramError: if it is not a telegram; the message says which part is missing or damaged.
         """
-        match = self._pattern.fullmatch(datagram) if len(datagram) <= MAX_TELEGRAM_BYTES else None
+        if len(datagram) > MAX_TELEGRAM_BYTES:
+            return self._decode_ipoc_only(datagram)
+        usual = self._usual.fullmatch(datagram)
+        match = usual or self._pattern.fullmatch(datagram)
         if match is None:
             return self._decode_ipoc_only(datagram)
         values = match.groups()
         q = np.array([float(values[place]) for place in self._q_places]) * self._per_reported
-        programmed = None
-        if self._programmed_places is not None:
-            programmed = np.array([float(values[place]) for place in self._programmed_places])
-            programmed *= self._per_reported
-        rist = None
-        if self._pose_places is not None:
-            rist = tuple(
-                float(values[place]) * scale
-                for place, scale in zip(self._pose_places, self._pose_scale, strict=True)
-            )
+        pose = None if self._pose_places is None else tuple([values[place] for place in self._pose_places])
         delay = None if self._delay_place is None else int(float(values[self._delay_place]))
         inputs = {name: float(values[place]) != 0.0 for name, place in self._input_places.items()}
-        return KrcTelegram(int(values[-1]), q, delay, rist, inputs, programmed)
+        return KrcTelegram(
+            int(values[-1]), q, delay, pose, inputs, self._programmed(values), usual is not None
+        )
+
+    def _programmed(self, values: tuple[bytes, ...]) -> Array | None:
+        if self._programmed_places is None:
+            return None
+        written = [values[place] for place in self._programmed_places]
+        if self._last_programmed is None or self._last_programmed[0] != written:
+            q_programmed = np.array([float(value) for value in written]) * self._per_reported
+            self._last_programmed = written, q_programmed
+        return self._last_programmed[1]
 
     def _decode_ipoc_only(self, datagram: bytes) -> KrcTelegram:
         if len(datagram) <= MAX_TELEGRAM_BYTES and (match := self._ipoc_only.fullmatch(datagram)):
@@ -267,13 +286,14 @@ class SensorCodec:
         if len(correction) != len(axes):
             raise TelegramError(f"a correction has {len(axes)} elements, got {len(correction)}")
         values: list[float] = (correction * self.axes.commanded).tolist()
-        for axis, number in zip(axes, values, strict=True):
+        for place, number in enumerate(values):
             if not -_MAX_CORRECTION < number < _MAX_CORRECTION:
+                axis = axes[place]
                 raise TelegramError(
                     f"correction of {axis} is {number} deg or mm, allowed is a finite number below "
                     f"{_MAX_CORRECTION:g}"
                 )
-        if outputs and not set(outputs) <= set(self._outputs):
+        if outputs and not self._known_outputs.issuperset(outputs):
             raise TelegramError(
                 f"outputs {sorted(set(outputs) - set(self._outputs))} are not known, allowed are "
                 f"{list(self._outputs)}"
@@ -284,9 +304,10 @@ class SensorCodec:
             )
         pool: list[object] = [
             *values,
-            *(bool(outputs and outputs.get(name)) for name in self._outputs),
-            escape(text[:MAX_TEXT]).encode("ascii", "replace"),
+            *([bool(outputs.get(name)) for name in self._outputs] if outputs else self._all_off),
+            escape(text[:MAX_TEXT]).encode("ascii", "replace") if text else b"",
             ipoc,
             stop,
         ]
-        return self._template % tuple([pool[place] for place in self._places])
+        reply: bytes = self._template % self._in_places(pool)
+        return reply

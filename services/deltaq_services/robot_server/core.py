@@ -33,6 +33,8 @@ from deltaq_services.robot_server.measurement import Measurement, Settling
 from deltaq_services.robot_server.mode_probe import KinematicMode, ModeProbe, PulsesCutShort, mode_of_session
 from deltaq_services.robot_server.probe_trial import Mode
 
+_TAKEN = (Admission, Supervision, Measurement)
+
 
 class RobotServer(Part):
     """The state of one robot's server, advanced by one telegram at a time.
@@ -174,17 +176,25 @@ class RobotServer(Part):
         Raises:
             TypeError: for a message of a type that is not sent here.
         """
-        if not isinstance(message, Admission | Supervision | Measurement):
+        if not isinstance(message, _TAKEN):
             raise TypeError(
                 f"a Robot Server takes admissions, heartbeats and measurements, got a {type(message).__name__}"
             )
+        if not isinstance(message, Measurement):
+            try:
+                self._hear(
+                    message
+                )  # the last that it does is to keep the message: there is nothing to put back
+            except Exception as error:
+                self.failed(error)
+            return []
         self.containment.remember()
         try:
             return self._take(message, time_s)
         except Exception as error:
             self.containment.put_back()
             self.failed(error)
-        return self._take(message, time_s) if isinstance(message, Measurement) else []
+        return self._take(message, time_s)
 
     def failed(self, error: Exception) -> None:
         """Hold the robot after an error that nobody foresaw; nothing that the gate has said goes on."""
@@ -199,16 +209,16 @@ class RobotServer(Part):
         lag = () if self._lag is None else (self._lag,)
         return self, self._mode, self._pulses, self._admissions, *lag
 
-    def _take(self, message: Admission | Supervision | Measurement, time_s: float) -> list[ToRobot]:
+    def _hear(self, message: Admission | Supervision) -> None:
         if isinstance(message, Admission):
             self._keep(message)
-        elif isinstance(message, Supervision):
-            self._supervision = message
         else:
-            supervision, self._supervision = self._supervision, None
-            q_cmd = self.cycle(message, time_s, supervision=supervision)
-            return [ToRobot(q_cmd, self.outputs, self.motion_stop)]
-        return []
+            self._supervision = message
+
+    def _take(self, measured: Measurement, time_s: float) -> list[ToRobot]:
+        supervision, self._supervision = self._supervision, None
+        q_cmd = self.cycle(measured, time_s, supervision=supervision)
+        return [ToRobot(q_cmd, self.outputs, self.motion_stop)]
 
     def krc_silent(self, time_s: float) -> None:
         """The KRC was silent for longer than its timeout: hold, until it is back and someone resets."""
@@ -339,9 +349,9 @@ class RobotServer(Part):
             self._reason = ReasonCode.KRC_LOST  # its own cycle is back, and only a reset is missing
         if self._barred(measured) is not None:
             self._resets = max(self._resets, supervision.resets)  # one given now shall not be obeyed some day
-        there = self._motion.rests and self._settling.is_near(measured.q, self._held_at)
-        may_be_reset = self._phase is Phase.HELD and known and there
-        if may_be_reset and supervision.resets > self._resets:
+        may_be_reset = self._phase is Phase.HELD and known and self._motion.rests
+        is_asked = may_be_reset and supervision.resets > self._resets
+        if is_asked and self._settling.is_near(measured.q, self._held_at):
             self._motion, self._q_reset = replace(self._motion, q_cmd=self._held_at, sequence=0), None
             self.motion_stop = False
             self._resets = supervision.resets

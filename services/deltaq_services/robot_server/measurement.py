@@ -41,7 +41,7 @@ class Settling:
     def sent(self, moves: bool) -> Self:
         """A setpoint was sent, which moves or rests."""
         cycles = 0 if moves else min(self.cycles_at_rest + 1, self.lag_cycles + 1)
-        return replace(self, cycles_at_rest=cycles)
+        return self if cycles == self.cycles_at_rest else replace(self, cycles_at_rest=cycles)
 
     def is_near(self, q: Array, other: Array) -> bool:
         """Whether two places, each (n,), are no further apart than the tolerance."""

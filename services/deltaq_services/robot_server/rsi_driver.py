@@ -169,19 +169,18 @@ class RsiDriver(Part):
     def reply(self, q_cmd: Array, outputs: Mapping[str, bool], stop: bool = False) -> bytes:
         """The answer to the telegram read last, with the setpoint (n,) [rad or m].
 
-        A correction that the guard refuses is not sent: the last one is repeated, and `fault` says why.
+        A correction that the guard refuses is not sent: the last one is repeated, and `fault` says why. If there is an
+        error, nothing is as if it had been sent.
         """
         assert self._origin is not None  # there is no setpoint without a session
         assert self._sent is not None  # a session begins with the correction that the KRC has
         assert self.session.last is not None  # and with a telegram
         correction = q_cmd - self._origin
-        self.fault = reply_fault(
-            correction.tolist(), self._sent.tolist(), self._most, self._lower, self._upper
-        )
-        if self.fault is None:
-            self._sent = correction
-        self._outputs = dict(outputs)
-        return self._codec.encode(self.session.last.ipoc, self._sent, outputs, stop=stop)
+        fault = reply_fault(correction.tolist(), self._sent.tolist(), self._most, self._lower, self._upper)
+        sent = correction if fault is None else self._sent
+        reply = self._codec.encode(self.session.last.ipoc, sent, outputs, stop=stop)
+        self.fault, self._sent, self._outputs = fault, sent, dict(outputs)
+        return reply
 
     @property
     def q_sent(self) -> Array:

@@ -389,6 +389,8 @@ class Session(Part):
 
 
 def _same(one: Array | None, other: Array | None) -> bool:
+    if one is other:
+        return True
     if one is None or other is None:
-        return one is other
+        return False
     return bool((np.abs(one - other) < STILL).all())

@@ -5,8 +5,7 @@ from __future__ import annotations
 import logging
 import secrets
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 
 from deltaq_cell.description import CellDescription, RsiDescription
@@ -67,10 +66,13 @@ class RsiLoop:
 
     def _read(self, now_s: float) -> None:
         """Answer the telegram that has come, if one has, or notice that the KRC is silent."""
-        measured = None
         self._driver.remember()
-        with self._held_by_errors(self._driver.put_back):
+        try:
             measured = self._krc.read(now_s)
+        except Exception as error:
+            self._driver.put_back()
+            self._server.failed(error)
+            measured = None
         if measured is not None:
             self._silent_s = now_s + self._silence_s
             self._decide(measured, now_s)
@@ -86,22 +88,16 @@ class RsiLoop:
             self._publish(now_s, "KRC silent")
             self._ending.krc_silent()
         else:
-            with self._held_by_errors():
+            try:
                 self._link.publish(None, now_s, lambda: _told("waiting for a position", self._krc.detail))
+            except Exception as error:
+                self._server.failed(error)
 
     def _publish(self, now_s: float, what: str = "") -> None:
-        with self._held_by_errors():
+        try:
             state = self._server.state
             self._link.publish(state, now_s, lambda: _told(what, self._server.detail, self._krc.detail))
-
-    @contextmanager
-    def _held_by_errors(self, undo: Callable[[], None] | None = None) -> Iterator[None]:
-        """Holds the robot if an error befalls the block, and undoes what the block has done."""
-        try:
-            yield
         except Exception as error:
-            if undo is not None:
-                undo()
             self._server.failed(error)
 
     def _warn(self, cycle_fault: str) -> None:
@@ -111,21 +107,25 @@ class RsiLoop:
         self._cycle_fault = cycle_fault
 
     def _decide(self, measured: Measurement, now_s: float) -> None:
-        with self._held_by_errors():
+        try:
             for message in self._link.heard():
                 self._server.take(message, now_s)
+        except Exception as error:
+            self._server.failed(error)
         self._server.guarded = self._krc.is_guarded
         (setpoint,) = self._server.take(measured, now_s)
         stop = self._ending.stop or setpoint.motion_stop
-        reply = None
-        self._driver.remember()
-        with self._held_by_errors(self._driver.put_back):
+        try:
             reply = self._rsi.reply(setpoint.q_cmd, setpoint.outputs, stop)
-            record = self._recorded(measured.ipoc, setpoint.outputs)
-        if reply is not None:
-            with self._held_by_errors():
-                self._krc.send_setpoint(reply, record)
-        if reply is None or self._rsi.fault is not None:
+        except Exception as error:
+            self._server.failed(error)
+            self._server.reply_refused(self._rsi.q_sent)
+            return
+        try:
+            self._krc.send_setpoint(reply, self._recorded(measured.ipoc, setpoint.outputs))
+        except Exception as error:  # to the KRC it is a lost reply
+            self._server.failed(error)
+        if self._rsi.fault is not None:
             self._server.reply_refused(self._rsi.q_sent)
 
     def _recorded(self, ipoc: int, outputs: Mapping[str, bool]) -> bytes | None:

@@ -61,18 +61,28 @@ class PlainTelegrams:
         ipoc = int(datagram[datagram.rindex(_IPOC) + len(_IPOC) : datagram.rindex(_IPOC_ENDS)])
         if ipoc > MAX_IPOC:
             return None
-        late, programmed = 0, 0
+        late = 0
         if (place := datagram.find(_LATE)) >= 0:
             begins = place + len(_LATE)
             try:
                 late = int(float(datagram[begins : datagram.index(b'"', begins)]))
             except ValueError:
                 return None
-            late = max(-_MOST_LATE, min(late, _MOST_LATE))
+            late = bounded(late)
+        return PlainTelegram(ipoc, late, self.programmed(datagram))
+
+    def programmed(self, datagram: bytes) -> int:
+        """The checksum of the programmed position in a telegram of the usual layout."""
+        programmed = 0
         for element in self._elements:
             begins = datagram.index(element)
             programmed = zlib.crc32(datagram[begins : datagram.index(b">", begins)], programmed)
-        return PlainTelegram(ipoc, late, programmed)
+        return programmed
+
+
+def bounded(late: int) -> int:
+    """A count of late replies as it fits into a record."""
+    return max(-_MOST_LATE, min(late, _MOST_LATE))
 
 
 PORT_PATIENCE_S = 3.0

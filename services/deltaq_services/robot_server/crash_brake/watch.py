@@ -18,7 +18,7 @@ from typing import Self
 
 from deltaq_protocol.endpoint import Address
 from deltaq_protocol.setpoint_motion import SetpointMotion
-from deltaq_services.robot_server.crash_brake.core import CrashPlan
+from deltaq_services.robot_server.crash_brake.core import CrashPlan, bounded
 from deltaq_services.robot_server.crash_brake.memory import CrashMemory
 from deltaq_services.robot_server.crash_brake.record import CrashRecord, CrashRecords
 from deltaq_services.robot_server.rsi_driver import RsiDriver
@@ -59,16 +59,16 @@ class CrashRecordMaker:
         Returns:
             None if no process could continue from it, because the telegram does not have the usual layout.
         """
-        telegram, ipoc_step = self._telegrams.read(datagram), self._rsi.session.step
-        if telegram is None or ipoc_step is None:
+        telegram, ipoc_step = self._rsi.session.last, self._rsi.session.step
+        if telegram is None or not telegram.is_usual or ipoc_step is None:
             return None
         if self._rsi.fault is not None:
             motion = SetpointMotion.at_rest(motion.q_cmd)  # the KRC gets its last correction again, and stays
         lower, upper = self._rsi.limits
         return CrashRecord(
             ipoc=ipoc,
-            late=telegram.late,
-            programmed=telegram.programmed,
+            late=bounded(telegram.delay or 0),
+            programmed=self._telegrams.programmed(datagram),
             ipoc_step=ipoc_step,
             outputs=tuple([bool(outputs.get(name)) for name in self._outputs]),
             correction=self._rsi.correction,
