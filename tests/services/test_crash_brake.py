@@ -252,7 +252,9 @@ def test_braked_cycles_are_as_many_as_the_certificate_says(krc):
 
 @pytest.mark.parametrize("digits", [b"9e99", b"-9e99", b"9999999999999999e99"])
 def test_no_count_of_late_replies_is_too_long_for_a_record(krc, digits):
+    krc.tick()
     datagram = re.sub(rb'<Delay D="[^"]*"', b'<Delay D="' + digits + b'"', krc.own())
+    krc.hand(datagram)
     krc.leave(datagram)
     assert abs(RECORDS.newest(bytes(krc.memory)).record.late) == 2**62
 
@@ -265,7 +267,10 @@ def test_of_a_brake_that_is_too_long_for_a_record_there_is_none(krc):
 
 
 def test_a_telegram_in_another_layout_leaves_no_record(krc):
-    assert krc.maker.of_last(b"<Rob/>", krc.ipoc, {}, krc.server.motion) is None
+    session = krc.driver.session
+    assert session.last.is_usual
+    session.last = session.last._replace(is_usual=False)
+    assert krc.maker.of_last(krc.own(), krc.ipoc, {}, krc.server.motion) is None
     assert krc.maker.body(None) is None
 
 

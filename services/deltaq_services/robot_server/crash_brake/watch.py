@@ -51,7 +51,7 @@ class CrashRecordMaker:
         """The record of the reply that the driver made last.
 
         Args:
-            datagram: the telegram that is answered.
+            datagram: the telegram that is answered, which the driver has read last.
             ipoc: of that telegram.
             outputs: of the reply, by name.
             motion: the motion that the reply belongs to.
