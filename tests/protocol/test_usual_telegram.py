@@ -38,6 +38,8 @@ def test_what_fits_is_read_by_the_codec_with_the_same_numbers(place, cut, added)
         return
     ipoc = int(value(datagram, b"IPOC"))
     decoded = CODEC.decode(datagram)
+    assert decoded.is_usual
+    assert CODEC._usual.fullmatch(datagram).groups() == CODEC._pattern.fullmatch(datagram).groups()
     assert (decoded.ipoc, decoded.delay) == (ipoc, float(value(datagram, b"D")))
     joints = datagram.partition(b"<AIPos ")[2].partition(b"/>")[0]
     told = np.array([float(value(b" " + joints, b"A%d" % axis)) for axis in range(1, 7)])
