@@ -3,7 +3,7 @@
 - The navigation follows the lists of `index.md`; a page that they leave out fails the build.
 - Each module of `extra.api` has a page, from its docstrings.
 - A file of the tree that a page links to, an example say, has a page with its text.
-- Diagrams are drawn by the script that comes with the console's page, so that none is loaded from elsewhere.
+- Diagrams are drawn by the script that comes with NiceGUI, so that none is loaded from elsewhere.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def _shown_notebook(root: Path, path: str) -> str:
 
 
 def _diagram_scripts() -> list[Path]:
-    console = find_spec("nicegui")
-    assert console is not None  # the extra docs has it
-    folder = Path(os.fspath(console.origin or "")).parent / "elements" / "mermaid" / "dist"
+    nicegui = find_spec("nicegui")
+    assert nicegui is not None  # the extra docs has it
+    folder = Path(os.fspath(nicegui.origin or "")).parent / "elements" / "mermaid" / "dist"
     return sorted(folder.glob("*.js"))

@@ -14,7 +14,7 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_services.console.scene import pad_document, scene_of
 
 HERE = Path(__file__).parent
-MODULES = HERE.parents[1] / "services" / "deltaq_services" / "console" / "page" / "browser"
+MODULES = HERE.parents[1] / "services" / "deltaq_services" / "console" / "page"
 NODE = shutil.which("node")
 
 pytestmark = [

@@ -58,7 +58,7 @@ def declared(name):
 def test_all_that_is_installed_is_looked_at():
     names = closure(*DISTRIBUTED)
     assert {"eaik", "urchin", "scipy", "trimesh"} <= set(names)
-    assert {"numpy", "pin", "coal", "eclipse-zenoh", "daqp", "nicegui", "numba", "llvmlite", "mcap"} <= set(
+    assert {"numpy", "pin", "coal", "eclipse-zenoh", "daqp", "uvicorn", "numba", "llvmlite", "mcap"} <= set(
         names
     )
     assert set(LOOKED_UP) <= set(names)

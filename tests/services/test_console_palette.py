@@ -6,7 +6,7 @@ import pytest
 from colour_vision import contrast, lab, nearest
 from installed import ROOT
 
-PAGE = ROOT / "services" / "deltaq_services" / "console" / "page" / "browser"
+PAGE = ROOT / "services" / "deltaq_services" / "console" / "page"
 REPORT = ROOT / "testing" / "deltaq_testing" / "report_page.css"
 STATES = ("accent", "good", "warn", "bad", "record")
 """Engaged, ready, braking or offline, held, and a recording."""

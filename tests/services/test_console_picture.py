@@ -12,7 +12,7 @@ from deltaq_cell.cell_model import CellModel, robots_told
 from deltaq_cell.load import parse_cell
 from deltaq_protocol.brake import brake_cycles, brake_increment
 from deltaq_protocol.messages import NearestPair, Outcome, Phase, Proximity, Sight, ToolPose, ViewTarget
-from deltaq_services.console.frame import BRAKING, OUTCOMES, PHASES, STALE
+from deltaq_services.console.feed import BRAKING, OUTCOMES, PHASES, STALE
 from deltaq_services.console.scene import scene_of
 
 HEAD = struct.Struct("<BBHdHHf6f")

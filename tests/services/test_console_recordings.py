@@ -14,8 +14,7 @@ from deltaq_protocol import driving
 from deltaq_services.console.core import ConsoleCore
 from deltaq_services.console.messages import AckOutcome
 from deltaq_services.console.outputs import ToDriver, ToRecorder
-from deltaq_services.console.recorder_process import RecorderProcess
-from deltaq_services.console.recordings import NoSuchRecordingError, RecordingFolder
+from deltaq_services.console.recordings import NoSuchRecordingError, RecorderProcess, RecordingFolder
 from deltaq_services.console.settings import NoFolderError, Settings
 from deltaq_services.console.shell import Console
 from deltaq_services.console.web import application, listening_socket, server_of

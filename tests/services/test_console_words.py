@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from deltaq_protocol.messages import Phase, RobotState, Sight, ToolPose
-from deltaq_services.console.words import phase_words
+from deltaq_services.console.messages import phase_words
 
 POSE = ToolPose(position=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
 

@@ -213,7 +213,7 @@ def console_service(
 
 def console_is_installed() -> bool:
     """Whether what the console's page is made with is there: the extra `console`."""
-    return find_spec("nicegui") is not None
+    return find_spec("uvicorn") is not None and find_spec("websockets") is not None
 
 
 def recorder(cell_name: str, file: str) -> Service:

@@ -2,15 +2,16 @@
 
 Times named `_ms` are milliseconds of the clock of whoever wrote them; all else is in SI units. A command is answered
 with one `ack` that carries its `id`; the same `id` twice is done once and answered twice. What it means that a command
-expires is in `deltaq_services.console.clock_offset`.
+expires is in `deltaq_services.console.client`.
 """
 
 from __future__ import annotations
 
+import json
 from enum import StrEnum
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, TypeAdapter
+from pydantic import Field, TypeAdapter, ValidationError
 
 from deltaq_protocol.driving import (
     Axes,
@@ -21,8 +22,10 @@ from deltaq_protocol.driving import (
     QuaternionPart,
     TradeOff,
 )
+from deltaq_protocol.errors import ProtocolError
 from deltaq_protocol.messages import Joints, JointValue, Message, Name, Real
 from deltaq_protocol.messages.view import MOST_TARGETS
+from deltaq_protocol.quoting import place, shown
 
 MAX_MESSAGE_BYTES = 4096
 """Longest message that a browser may send."""
@@ -49,6 +52,8 @@ EXPIRY_S = {
 
 ALL_HANDS = "*"
 """In the place of a hand's name: all hands of the robot, or the object between them."""
+
+_BOUNDS = ("gt", "ge", "lt", "le", "min_length", "max_length", "expected", "expected_tags", "pattern")
 
 CommandId = Annotated[str, Field(min_length=1, max_length=64)]
 
@@ -219,3 +224,63 @@ ViewCommand = ViewDistance | LookAt
 RobotCommand = Reset | LeaseCommand | ViewCommand | Jog | DryRun | DriverCommand
 AnyCommand = Ping | Stop | Record | ReplayShown | RobotCommand
 COMMANDS: TypeAdapter[AnyCommand] = TypeAdapter(Annotated[AnyCommand, Field(discriminator="type")])
+
+
+class InvalidCommandError(ProtocolError):
+    """A message that is not a valid command; the text names field, value and bound.
+
+    Attributes:
+        id: of the command, as far as it had one.
+    """
+
+    def __init__(self, text: str, command_id: str = "") -> None:
+        super().__init__(text)
+        self.id = command_id
+
+
+def command_of(message: str | bytes) -> AnyCommand:
+    """The command in a message.
+
+    Raises:
+        InvalidCommandError: there is none in it.
+    """
+    if isinstance(message, bytes):
+        raise InvalidCommandError(f"message: must be text, got {len(message)} bytes")
+    # a browser may send half a surrogate pair, which is no text
+    length = len(message.encode(errors="replace"))
+    if length > MAX_MESSAGE_BYTES:
+        raise InvalidCommandError(f"message: {length} bytes long, at most {MAX_MESSAGE_BYTES} are allowed")
+    try:
+        return COMMANDS.validate_json(message)
+    except ValidationError as error:
+        raise InvalidCommandError(_words(dict(error.errors(include_url=False)[0])), id_in(message)) from None
+    except UnicodeEncodeError:
+        raise InvalidCommandError("message: is not UTF-8 text") from None
+
+
+def _words(error: dict[str, Any]) -> str:
+    # the first part of a place is the kind of the command
+    field = place(error["loc"][1:]) or place(error["loc"])
+    context = error.get("ctx", {})
+    if error["type"].startswith("union_tag"):
+        field = "type"
+    elif error["type"] == "missing":
+        return f"{field}: is missing"
+    elif error["type"] == "extra_forbidden":
+        return f"{field}: is not a field of a {error['loc'][0]}"
+    bound = next((context[name] for name in _BOUNDS if name in context), None)
+    given = error["input"]
+    if field == "type" and isinstance(given, dict):
+        given = given.get("type")
+    text = f"{field or 'message'}: {error['msg'].removeprefix('Input ')}, got {shown(given)}"
+    return text if bound is None or error["type"].endswith("tag_invalid") else f"{text}; bound {bound}"
+
+
+def id_in(message: str | bytes) -> str:
+    """The id in a message, as far as it has one."""
+    try:
+        data = json.loads(message)
+    except (ValueError, RecursionError):
+        return ""
+    command_id = data.get("id") if isinstance(data, dict) else None
+    return command_id if isinstance(command_id, str) and 0 < len(command_id) <= 64 else ""

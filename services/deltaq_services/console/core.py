@@ -12,21 +12,30 @@ from collections.abc import Mapping
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import driving
 from deltaq_protocol.messages import Verdict
-from deltaq_services.console.client import Client
-from deltaq_services.console.clock_offset import ClockOffset
-from deltaq_services.console.commands import EXPIRY_S, AnyCommand, Ping, Record, ReplayShown, Stop
-from deltaq_services.console.decoding import InvalidCommandError, command_of
+from deltaq_services.console.client import Client, ClockOffset
+from deltaq_services.console.commands import (
+    EXPIRY_S,
+    AnyCommand,
+    InvalidCommandError,
+    Ping,
+    Record,
+    ReplayShown,
+    Stop,
+    command_of,
+)
 from deltaq_services.console.driver_desk import DriverDesk
-from deltaq_services.console.event_log import EventLog
-from deltaq_services.console.messages import Ack, AckOutcome, ConsoleHello, Pong
-from deltaq_services.console.outputs import AskHli, ConsoleOutput, ToClient, ToDriver
-from deltaq_services.console.pending import PendingRequests, acknowledged
+from deltaq_services.console.messages import Ack, AckOutcome, ConsoleHello, Pong, bound_of
+from deltaq_services.console.outputs import (
+    AskHli,
+    ConsoleOutput,
+    PendingRequests,
+    ToClient,
+    ToDriver,
+    acknowledged,
+)
 from deltaq_services.console.picture import Picture
-from deltaq_services.console.recordings import RecordingDesk
 from deltaq_services.console.robot_side import RobotSide
-from deltaq_services.console.status_board import StatusBoard
-from deltaq_services.console.stop_progress import StopProgress
-from deltaq_services.console.words import bound_of
+from deltaq_services.console.status_board import EventLog, RecordingDesk, StatusBoard, StopProgress
 
 MOST_CLIENTS = 32
 AWAY_S = 5.0

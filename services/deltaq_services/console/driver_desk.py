@@ -16,12 +16,18 @@ from deltaq_services.console.commands import (
     RobotCommand,
     ViewCommand,
 )
-from deltaq_services.console.event_log import EventLog
 from deltaq_services.console.messages import AckOutcome, WaysView
-from deltaq_services.console.outputs import AskHli, ConsoleOutput, ToClient, ToDriver
-from deltaq_services.console.pending import PendingRequests, acknowledged
+from deltaq_services.console.outputs import (
+    AskHli,
+    ConsoleOutput,
+    PendingRequests,
+    ToClient,
+    ToDriver,
+    acknowledged,
+)
 from deltaq_services.console.robot_side import RobotSide
 from deltaq_services.console.seat import Handled
+from deltaq_services.console.status_board import EventLog
 
 _WAITED_FOR = (LeaseVerb.TAKE, LeaseVerb.TAKE_OVER, LeaseVerb.RELEASE)
 

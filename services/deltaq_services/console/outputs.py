@@ -1,12 +1,16 @@
-"""What the core wants done, for its shell."""
+"""What the core wants done, for its shell, and the requests whose answers are awaited."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import itertools
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from deltaq_protocol import driving
 from deltaq_protocol.messages import Message, ViewWish
+from deltaq_services.console.client import Client
+from deltaq_services.console.messages import Ack, AckOutcome
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,3 +49,52 @@ class ToRecorder:
 
 
 ConsoleOutput = ToClient | AskHli | ToDriver | ToRecorder
+
+
+Awaited = tuple[Client | None, str, AskHli | ToDriver | None]
+"""Who waits, for which command, and what was asked; nobody, if nobody is to be told."""
+
+
+class PendingRequests:
+    """What is on its way."""
+
+    def __init__(self) -> None:
+        self._numbers = itertools.count(1)
+        self._asked: dict[str, Awaited] = {}
+
+    def new_id(self) -> str:
+        """An id that no request had before."""
+        return f"r{next(self._numbers)}"
+
+    def ask(self, client: Client, command: str, asked: AskHli) -> list[ConsoleOutput]:
+        """Ask the HLI, and tell the client so."""
+        asked = replace(asked, client=client.in_the_audit_log)
+        self._asked[asked.request] = (client, command, asked)
+        return [asked, acknowledged(client, command, AckOutcome.ASKED, "asked")]
+
+    def send(self, requests: Iterable[ToDriver], client: Client | None, command: str) -> list[ConsoleOutput]:
+        """Send requests to drivers; wishes are not answered."""
+        sent: list[ConsoleOutput] = []
+        for request in requests:
+            sent.append(request)
+            if not isinstance(request.request, driving.Wish):
+                self._asked[request.request.id] = (client, command, request)
+        return sent
+
+    def answered(self, request: str) -> Awaited:
+        """What a request was about, which is awaited no more."""
+        return self._asked.pop(request, (None, "", None))
+
+    def given_up(self, robot: str) -> list[Awaited]:
+        """What a robot's driver was asked and will not answer."""
+        lost = [
+            request
+            for request, (_, _, asked) in self._asked.items()
+            if isinstance(asked, ToDriver) and asked.robot == robot
+        ]
+        return [self._asked.pop(request) for request in lost]
+
+
+def acknowledged(client: Client, command: str, outcome: AckOutcome, text: str) -> ToClient:
+    """The answer to a client's command."""
+    return ToClient(client.number, client.answer(Ack(id=command, outcome=outcome, text=text)))

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from deltaq_cell.description import CellDescription
 from deltaq_cell.roles import camera_roles
 from deltaq_protocol.messages import Phase, Proximity, RobotState, Sight, Vector3, Verdict, ViewTarget
-from deltaq_services.console.event_log import EventLog
-from deltaq_services.console.frame import NO_BODY, WitnessedPair, pack_frame
+from deltaq_services.console.feed import NO_BODY, WitnessedPair, pack_frame
+from deltaq_services.console.messages import bound_of, phase_words, sight_words
 from deltaq_services.console.robot_side import RobotSide
-from deltaq_services.console.words import bound_of, phase_words, sight_words
+from deltaq_services.console.status_board import EventLog
 from deltaq_services.focus import focus_of
 
 

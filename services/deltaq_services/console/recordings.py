@@ -1,26 +1,38 @@
-"""The console's recordings: which there are, which may be opened, and the one that is being written.
+"""The console's recordings: the folder that has them, and the processes that write one and read one.
 
 Only files that lie in the folder itself are listed and opened: no path, no link, no other ending.
 """
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import re
-from datetime import UTC, datetime
+import sys
+from asyncio.subprocess import PIPE, STDOUT, Process
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from deltaq_services.console.commands import Record
-from deltaq_services.console.messages import RecordingView
-from deltaq_services.console.outputs import ToRecorder
+from deltaq_protocol.log import message_of
 
-ENDING = ".mcap"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,120}\.mcap")
 _MOST_LISTED = 500
+_ENDS_WITHIN_S, _READ_WITHIN_S = 10.0, 300.0
+_LONGEST_TOLD = 300
+_READY = "ready:"
 
 
 class NoSuchRecordingError(ValueError):
     """A name that is not the name of a recording in the folder."""
+
+
+class UnreadableError(Exception):
+    """The recording could not be read; the text says why."""
+
+
+class BusyError(Exception):
+    """Another recording is being read."""
 
 
 class RecordingFolder:
@@ -61,46 +73,122 @@ class RecordingFolder:
         return _NAME.fullmatch(file.name) is not None and not file.is_symlink() and file.is_file()
 
 
-class RecordingDesk:
-    """The recording that is being written, and what became of the last.
+class RecorderProcess:
+    """The recorder, while it writes.
 
     Args:
-        cell: name of the cell.
-        has_folder: whether the console was given a folder for recordings.
+        cell: name or file of the cell.
+        began: called when it writes.
+        ended: called when it has ended, with why if it was not asked to.
     """
 
-    def __init__(self, cell: str, has_folder: bool) -> None:
-        self._cell, self._has_folder = cell, has_folder
-        self._view = RecordingView()
+    def __init__(self, cell: str, began: Callable[[], None], ended: Callable[[str], None]) -> None:
+        self._cell, self._began, self._ended = cell, began, ended
+        self._process: Process | None = None
+        self._running: asyncio.Task[None] | None = None
+        self._is_wanted = False
 
-    @property
-    def view(self) -> RecordingView | None:
-        """The status for browsers; None without a folder."""
-        return self._view if self._has_folder else None
+    def start(self, file: Path) -> None:
+        """Write a recording."""
+        self._is_wanted = True
+        self._running = asyncio.ensure_future(self._run(file))
 
-    def handle(self, command: Record, now_s: float) -> ToRecorder:
-        """Begin or end a recording, or raise `ValueError` with the reason why not."""
-        if not self._has_folder:
-            raise ValueError(
-                "the console was given no folder for recordings; start it with --recordings FOLDER"
+    def stop(self) -> None:
+        """Complete the recording."""
+        self._is_wanted = False
+        if self._process is not None and self._process.stdin is not None:
+            self._process.stdin.close()
+
+    async def end(self) -> None:
+        """Complete the recording, if one is written, and wait for it."""
+        if self._running is None or self._running.done():
+            return
+        self.stop()
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(asyncio.shield(self._running), _ENDS_WITHIN_S)
+            return
+        if self._process is not None:
+            with contextlib.suppress(ProcessLookupError):
+                self._process.kill()
+        await self._running
+
+    async def _run(self, file: Path) -> None:
+        command = (
+            "-m",
+            "deltaq_services.recorder",
+            "--cell",
+            self._cell,
+            "--file",
+            str(file),
+            "--until-input-ends",
+        )
+        try:
+            self._process = process = await asyncio.create_subprocess_exec(
+                sys.executable, *command, stdin=PIPE, stdout=PIPE, stderr=STDOUT, start_new_session=True
             )
-        if command.action == "stop":
-            if not self._view.file:
-                raise ValueError("action: nothing is being recorded")
-            return ToRecorder(None)
-        if self._view.file:
-            raise ValueError(f"action: {self._view.file} is being recorded already")
-        asked = datetime.fromtimestamp(now_s, UTC)
-        self._view = RecordingView(file=f"{self._cell}-{asked:%Y%m%d-%H%M%S}{ENDING}")
-        return ToRecorder(self._view.file)
+            assert process.stdin is not None  # pipes were asked for
+            assert process.stdout is not None
+            if not self._is_wanted:
+                process.stdin.close()
+            has_begun, last = False, ""
+            async for line in process.stdout:
+                last = message_of(line.decode(errors="replace").strip()) or last
+                if last.startswith(_READY) and not has_begun:
+                    has_begun = True
+                    self._began()
+            status = await process.wait()
+            if status == 0 and not self._is_wanted:
+                why = "" if has_begun else "it was ended before anything was written"
+            else:
+                why = (
+                    last.removeprefix("error: ")[:_LONGEST_TOLD] or f"the recorder ended with status {status}"
+                )
+        except OSError as error:
+            why = str(error)
+        self._process = None
+        self._ended(why)
 
-    def began(self, now_s: float) -> None:
-        """The recorder writes."""
-        if self._view.file:
-            self._view = RecordingView(file=self._view.file, since_s=now_s)
 
-    def ended(self, why: str) -> str:
-        """The recorder has ended, and why if not as asked; returns what to tell."""
-        text = f"{self._view.file} was recorded" if not why else f"{self._view.file}: {why}"
-        self._view = RecordingView(text=text)
-        return text
+class ReplayReader:
+    """Reads recordings of one cell.
+
+    Args:
+        identity: of the cell in whose scene they are shown.
+    """
+
+    def __init__(self, identity: str) -> None:
+        self._identity = identity
+        self._is_reading = False
+
+    async def read(self, file: Path) -> bytes:
+        """The recording as JSON.
+
+        Raises:
+            BusyError: another one is being read.
+            UnreadableError: the file is not a recording of this cell, or reading it takes too long.
+        """
+        if self._is_reading:
+            raise BusyError("another recording is being read; try again in a moment")
+        self._is_reading = True
+        try:
+            return await self._read(file)
+        finally:
+            self._is_reading = False
+
+    async def _read(self, file: Path) -> bytes:
+        command = ("-m", "deltaq_services.recorder.replayed", str(file), "--identity", self._identity)
+        process = await asyncio.create_subprocess_exec(
+            sys.executable, *command, stdout=PIPE, stderr=PIPE, start_new_session=True
+        )
+        try:
+            document, said = await asyncio.wait_for(process.communicate(), _READ_WITHIN_S)
+        except TimeoutError:
+            raise UnreadableError(f"{file.name} could not be read within {_READ_WITHIN_S:g} s") from None
+        finally:
+            if process.returncode is None:
+                with contextlib.suppress(ProcessLookupError):
+                    process.kill()
+        if process.returncode:
+            lines = said.decode(errors="replace").strip().splitlines() or ["it could not be read"]
+            raise UnreadableError(lines[-1].removeprefix("error: ").replace(str(file), file.name))
+        return document

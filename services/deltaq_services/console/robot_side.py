@@ -22,11 +22,9 @@ from deltaq_services.console.commands import (
     ViewCommand,
     ViewDistance,
 )
-from deltaq_services.console.feed import RobotFeed
-from deltaq_services.console.messages import Bound, LeaseView, RobotStatusView, WaysView
+from deltaq_services.console.feed import RobotFeed, RobotMotion
+from deltaq_services.console.messages import Bound, LeaseView, RobotStatusView, WaysView, phase_words
 from deltaq_services.console.seat import Seat
-from deltaq_services.console.stop_progress import RobotMotion
-from deltaq_services.console.words import phase_words
 
 MOST_M_S, MOST_RAD_S = 0.5, 1.5
 """Greatest speeds at which a hand is moved by hand [m/s, rad/s]."""

@@ -22,7 +22,7 @@ from deltaq_cell.robot import RobotModel
 from deltaq_cell.told_kinematics import joint_axis
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.pad_layout import PAD_LAYOUT, VIEW_RANGE_M, VIEW_STEP_M
-from deltaq_services.console.frame import OUTCOMES, PHASES
+from deltaq_services.console.feed import OUTCOMES, PHASES
 
 MESHES = "/meshes"
 """Path under which meshes are served."""

@@ -1,19 +1,170 @@
-"""What browsers are told when it changes: the cell's status, each with its own leases marked, and the log's lines."""
+"""What browsers are told when it changes: the cell's status with stop and recording, and the log's lines."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections import deque
+from collections.abc import Collection, Iterable, Mapping
+from datetime import UTC, datetime
+from typing import Literal
 
+from deltaq_protocol.messages import Phase
+from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.console.client import Client
-from deltaq_services.console.event_log import EventLog
-from deltaq_services.console.messages import ConsoleStatus
-from deltaq_services.console.outputs import ConsoleOutput, ToClient
-from deltaq_services.console.recordings import RecordingDesk
+from deltaq_services.console.commands import Record
+from deltaq_services.console.feed import RobotMotion
+from deltaq_services.console.messages import ConsoleEvent, ConsoleStatus, RecordingView, StopPhase
+from deltaq_services.console.outputs import ConsoleOutput, ToClient, ToRecorder
 from deltaq_services.console.robot_side import RobotSide
-from deltaq_services.console.stop_progress import StopProgress
+
+KEPT = 200
+"""Newest lines, which a new client is told."""
+QUIET_S = 2.0
+"""A line that comes again within this is counted, and told with its count when the time is over."""
 
 STATUS_S = 1.0
 """A status that has not changed is sent again after this."""
+ENDING = ".mcap"
+
+EventKind = Literal["verdict", "lease", "stop", "phase", "link", "client", "recording", "view"]
+
+
+class EventLog:
+    """Lines of the log; each reader gets the lines that are new."""
+
+    def __init__(self) -> None:
+        self._kept: deque[ConsoleEvent] = deque(maxlen=KEPT)
+        self._new: list[ConsoleEvent] = []
+        self._quiet: dict[tuple[EventKind, str, str], tuple[float, int, ConsoleEvent]] = {}
+
+    def add(self, now_s: float, kind: EventKind, text: str, robot: str = "") -> None:
+        """A line, told at once."""
+        self._tell(ConsoleEvent(time_s=now_s, kind=kind, robot=robot, text=text))
+
+    def repeat(self, now_s: float, kind: EventKind, group: str, text: str, robot: str = "") -> None:
+        """A line that may come every cycle: lines of one group count as one line while they keep coming."""
+        key = (kind, robot, group)
+        event = ConsoleEvent(time_s=now_s, kind=kind, robot=robot, text=text)
+        if key in self._quiet:
+            until_s, count, _ = self._quiet[key]
+            self._quiet[key] = (until_s, count + 1, event)
+        else:
+            self._quiet[key] = (now_s + QUIET_S, 0, event)
+            self._tell(event)
+
+    def news(self, now_s: float) -> list[ConsoleEvent]:
+        """Lines since this was asked last."""
+        for key, (until_s, count, event) in list(self._quiet.items()):
+            if now_s < until_s:
+                continue
+            if count:
+                self._tell(event.model_copy(update={"count": count}))
+                self._quiet[key] = (now_s + QUIET_S, 0, event)
+            else:
+                del self._quiet[key]
+        new, self._new = self._new, []
+        self._kept.extend(new)
+        return new
+
+    @property
+    def kept(self) -> Iterable[ConsoleEvent]:
+        """The newest lines that were asked for, oldest first."""
+        return tuple(self._kept)
+
+    def _tell(self, event: ConsoleEvent) -> None:
+        self._new.append(event)
+
+
+class StopProgress:
+    """The newest stop of any sender.
+
+    Attributes:
+        phase: how far it is.
+        by: name of the client that asked; None if that was somebody outside this console.
+    """
+
+    def __init__(self) -> None:
+        self.phase = StopPhase.NONE
+        self.by: str | None = None
+        self._seen_held = False
+
+    def ask(self, name: str) -> None:
+        """A client asks for a stop."""
+        self.by = name
+        self.phase = StopPhase.ASKED
+        self._seen_held = False
+
+    def latched(self) -> None:
+        """The HLI has replied that every robot is held."""
+        if self.phase is StopPhase.ASKED:
+            self.phase = StopPhase.STOPPING
+
+    def see(self, robots: Mapping[str, RobotMotion]) -> None:
+        """The robots' newest states.
+
+        Robots that are held at rest confirm a stop that was asked for, whatever holds them: their KRC fell silent, too.
+        """
+        held = all(motion.phase in (Phase.HELD, Phase.OFFLINE) for motion in robots.values())
+        stopped = any(_is_stopped(motion) for motion in robots.values())
+        at_rest = all(motion.is_still or motion.phase is Phase.OFFLINE for motion in robots.values())
+        if self.phase in (StopPhase.NONE, StopPhase.ASKED):
+            if held and (stopped or (at_rest and self.phase is StopPhase.ASKED)):
+                self.phase, self._seen_held = StopPhase.STOPPING, True
+        elif held:
+            self._seen_held = True
+            self.phase = StopPhase.AT_REST if at_rest else StopPhase.STOPPING
+        elif self._seen_held and not any(motion.phase is None for motion in robots.values()):
+            # somebody has reset one of them. The HLI's reply may come before the states that it speaks of, and nothing
+            # new is known of robots that are not heard
+            self.phase, self.by = StopPhase.NONE, None
+
+
+def _is_stopped(motion: RobotMotion) -> bool:
+    return motion.phase is Phase.HELD and motion.reason is ReasonCode.OPERATOR_STOP
+
+
+class RecordingDesk:
+    """The recording that is being written, and what became of the last.
+
+    Args:
+        cell: name of the cell.
+        has_folder: whether the console was given a folder for recordings.
+    """
+
+    def __init__(self, cell: str, has_folder: bool) -> None:
+        self._cell, self._has_folder = cell, has_folder
+        self._view = RecordingView()
+
+    @property
+    def view(self) -> RecordingView | None:
+        """The status for browsers; None without a folder."""
+        return self._view if self._has_folder else None
+
+    def handle(self, command: Record, now_s: float) -> ToRecorder:
+        """Begin or end a recording, or raise `ValueError` with the reason why not."""
+        if not self._has_folder:
+            raise ValueError(
+                "the console was given no folder for recordings; start it with --recordings FOLDER"
+            )
+        if command.action == "stop":
+            if not self._view.file:
+                raise ValueError("action: nothing is being recorded")
+            return ToRecorder(None)
+        if self._view.file:
+            raise ValueError(f"action: {self._view.file} is being recorded already")
+        asked = datetime.fromtimestamp(now_s, UTC)
+        self._view = RecordingView(file=f"{self._cell}-{asked:%Y%m%d-%H%M%S}{ENDING}")
+        return ToRecorder(self._view.file)
+
+    def began(self, now_s: float) -> None:
+        """The recorder writes."""
+        if self._view.file:
+            self._view = RecordingView(file=self._view.file, since_s=now_s)
+
+    def ended(self, why: str) -> str:
+        """The recorder has ended, and why if not as asked; returns what to tell."""
+        text = f"{self._view.file} was recorded" if not why else f"{self._view.file}: {why}"
+        self._view = RecordingView(text=text)
+        return text
 
 
 class StatusBoard:

@@ -1,37 +1,49 @@
-"""The console's web server: the page, the scene and its meshes, and the live WebSocket with its door.
+"""The console's web server: the page, the scene and its meshes, recordings, and the live WebSocket.
 
-The door: only this machine, or a token; only pages of this console's own (a browser says which page opens a WebSocket);
-only names by which it is called, so that no web site can pretend to be it.
+Only pages of this console's own are served what others must not have (a browser says which page asks), and only under
+names by which the console is called, so that no web site can pretend to be it. Who comes in is decided by the `Door`.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import signal
 import socket
 import time
 from collections.abc import Generator
-from contextlib import contextmanager
-from typing import Any
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import uvicorn
-from fastapi import FastAPI, Response, WebSocket
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
 from starlette.middleware.trustedhost import TrustedHostMiddleware
-from starlette.requests import HTTPConnection
+from starlette.requests import HTTPConnection, Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.types import Receive, Scope, Send
+from starlette.websockets import WebSocket, WebSocketClose
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_protocol.errors import ServiceUnreachableError
-from deltaq_services.console import page
-from deltaq_services.console.connection import BrowserConnection
-from deltaq_services.console.door import Door, Entrance
-from deltaq_services.console.recordings_web import add_recordings
+from deltaq_services.console.recordings import BusyError, NoSuchRecordingError, UnreadableError
 from deltaq_services.console.scene import MESHES
-from deltaq_services.console.settings import LOOPBACK_HOSTS, Settings
-from deltaq_services.console.shell import Console
+from deltaq_services.console.settings import LOOPBACK_HOSTS, Door, Entrance, Settings
+from deltaq_services.console.shell import BrowserConnection, Console
 
 _log = logging.getLogger(__name__)
+
+_PAGE = Path(__file__).parent / "page"
+_PAGE_HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; font-src 'self'; "
+    "img-src 'self' data: blob:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "Cache-Control": "no-cache",  # a page of another version is never mixed with this one
+    "Referrer-Policy": "no-referrer",  # its address may have the token
+    "X-Content-Type-Options": "nosniff",
+}
 
 _LONGEST_BYTES = 64 * 1024
 """Longest message that is read at all; commands are shorter, and this much is told so."""
@@ -58,9 +70,7 @@ def serve(settings: Settings) -> None:
 
 
 async def _serve(console: Console, settings: Settings, listening: socket.socket) -> None:
-    app = application(console, settings)
-    page.build(app, settings)
-    server = server_of(app)
+    server = server_of(application(console, settings))
     running = asyncio.ensure_future(console.run())
     serving = asyncio.ensure_future(server.serve(sockets=[listening]))
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -78,7 +88,7 @@ async def _serve(console: Console, settings: Settings, listening: socket.socket)
 class _Server(uvicorn.Server):
     """uvicorn's server without its handlers of signals, which are the console's: robots come to rest first."""
 
-    @contextmanager
+    @contextlib.contextmanager
     def capture_signals(self) -> Generator[None, None, None]:
         yield
 
@@ -88,7 +98,7 @@ def _is_told(record: logging.LogRecord) -> bool:
     return not (record.exc_info and isinstance(record.exc_info[1], UnicodeError))
 
 
-def server_of(app: FastAPI) -> uvicorn.Server:
+def server_of(app: Starlette) -> uvicorn.Server:
     """The server of an application; it reads no more of a message than is needed to refuse it."""
     logging.getLogger("uvicorn.error").addFilter(_is_told)
     return _Server(
@@ -106,60 +116,128 @@ def server_of(app: FastAPI) -> uvicorn.Server:
     )
 
 
-def application(console: Console, settings: Settings) -> FastAPI:
-    """The web application, without its page."""
-    app = FastAPI(openapi_url=None)
-    if settings.is_loopback:
-        app.add_middleware(TrustedHostMiddleware, allowed_hosts=list(LOOPBACK_HOSTS))
+def application(console: Console, settings: Settings) -> Starlette:
+    """The web application."""
+    served = _Served(console, Door(settings, console.core.counters))
+    return Starlette(
+        routes=[
+            Route("/scene.json", served.scene),
+            Route("/health", served.health),
+            Route(MESHES + "/{name}", served.mesh),
+            Route("/recordings", served.recordings),
+            Route("/recordings/{name}", served.recording),
+            WebSocketRoute("/live", served.live),
+            Mount("/", _Page(directory=_PAGE, html=True)),
+        ],
+        middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=list(LOOPBACK_HOSTS))]
+        if settings.is_loopback
+        else [],
+    )
 
-    @app.get("/scene.json")
-    async def scene() -> dict[str, Any]:
-        return console.scene.document
 
-    @app.get("/health")
-    async def health() -> dict[str, Any]:
-        return console.core.health()
+class _Page(StaticFiles):
+    """The page's files; it runs no script and loads nothing but what this console serves."""
 
-    @app.get(MESHES + "/{name}")
-    async def mesh(name: str) -> Response:
-        text = console.scene.meshes.get(name)
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "websocket":  # the console has no other than /live
+            await WebSocketClose(_NOT_PERMITTED)(scope, receive, send)
+        else:
+            await super().__call__(scope, receive, send)
+
+    async def get_response(self, path: str, scope: Scope) -> Response:
+        response = await super().get_response(path, scope)
+        response.headers.update(_PAGE_HEADERS)
+        return response
+
+
+class _Served:
+    """Answers browsers.
+
+    Args:
+        console: that is served.
+        door: looks at tokens.
+    """
+
+    def __init__(self, console: Console, door: Door) -> None:
+        self._console, self._door = console, door
+
+    async def scene(self, _: Request) -> Response:
+        return JSONResponse(self._console.scene.document)
+
+    async def health(self, _: Request) -> Response:
+        return JSONResponse(self._console.core.health())
+
+    async def mesh(self, request: Request) -> Response:
+        text = self._console.scene.meshes.get(request.path_params["name"])
         return Response(status_code=404) if text is None else Response(text, media_type="model/obj")
 
-    door = Door(settings, console.core.counters)
+    async def recordings(self, request: Request) -> Response:
+        folder = self._console.folder
+        return self._refused(request) or JSONResponse([] if folder is None else folder.listed())
 
-    def enter(request: HTTPConnection, token: str) -> Entrance:
-        address = request.client.host if request.client else ""
-        entrance = door.look(token, address, time.monotonic())
-        if entrance is Entrance.WRONG:
-            _log.warning("a wrong token from %s at the console", address)
-        return entrance
+    async def recording(self, request: Request) -> Response:
+        """A recording as a browser shows it."""
+        refused = self._refused(request)
+        if refused is not None:
+            return refused
+        try:
+            if self._console.folder is None:
+                raise NoSuchRecordingError("the console was given no folder for recordings")
+            file = self._console.folder.file(request.path_params["name"])
+            document = await self._console.reader.read(file)
+        except NoSuchRecordingError as error:
+            return _told(404, str(error))
+        except UnreadableError as error:
+            return _told(422, str(error))
+        except BusyError as error:
+            return _told(503, str(error))
+        return Response(document, media_type="application/json")
 
-    add_recordings(app, console, enter)
+    def _refused(self, request: Request) -> Response | None:
+        """Why a request gets no recording: those have the audit log's entries too, and are for operators."""
+        # a browser says whose page asks; a program that is no browser does not
+        if request.headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none"):
+            return _told(403, "recordings are for this console's own page")
+        kind, _, token = request.headers.get("authorization", "").partition(" ")
+        if self._enter(request, token if kind.lower() == "bearer" else "") is not Entrance.OPERATOR:
+            return _told(403, "recordings are for operators: the console's token makes one")
+        return None
 
-    @app.websocket("/live")
-    async def live(websocket: WebSocket) -> None:
-        entrance = enter(websocket, websocket.query_params.get("token", ""))
-        if not _is_own(websocket) or entrance not in (Entrance.OPERATOR, Entrance.OBSERVER):
-            console.core.counters["turned_away"] += 1
+    async def live(self, websocket: WebSocket) -> None:
+        """The line of one browser, until it has gone."""
+        asked = websocket.query_params
+        entrance = self._enter(websocket, asked.get("token", ""))
+        origin = websocket.headers.get("origin")  # a program that is no browser does not say
+        is_own = origin is None or urlsplit(origin).netloc == websocket.headers.get("host")
+        if not is_own or entrance not in (Entrance.OPERATOR, Entrance.OBSERVER):
+            self._console.core.counters["turned_away"] += 1
             await websocket.close(_NOT_PERMITTED)
             return
         await websocket.accept()
-        name = websocket.query_params.get("name", "").strip()[:_LONGEST_NAME]
-        session, page = (
-            websocket.query_params.get(key, "")[:_LONGEST_SESSION] for key in ("session", "page")
+        name = asked.get("name", "").strip()[:_LONGEST_NAME]
+        session, page = (asked.get(key, "")[:_LONGEST_SESSION] for key in ("session", "page"))
+        await self._console.serve(
+            BrowserConnection(websocket),
+            name if name.isprintable() else "",
+            entrance is Entrance.OPERATOR,
+            _address(websocket),
+            session,
+            page,
         )
-        address = websocket.client.host if websocket.client else ""
-        is_operator = entrance is Entrance.OPERATOR
-        shown = name if name.isprintable() else ""
-        await console.serve(BrowserConnection(websocket), shown, is_operator, address, session, page)
 
-    return app
+    def _enter(self, request: HTTPConnection, token: str) -> Entrance:
+        entrance = self._door.look(token, _address(request), time.monotonic())
+        if entrance is Entrance.WRONG:
+            _log.warning("a wrong token from %s at the console", _address(request))
+        return entrance
 
 
-def _is_own(websocket: WebSocket) -> bool:
-    """Whether the WebSocket is opened by a page of this console; a program that is no browser does not say."""
-    origin = websocket.headers.get("origin")
-    return origin is None or urlsplit(origin).netloc == websocket.headers.get("host")
+def _address(request: HTTPConnection) -> str:
+    return request.client.host if request.client else ""
+
+
+def _told(status: int, text: str) -> Response:
+    return JSONResponse({"detail": text}, status)
 
 
 def listening_socket(settings: Settings) -> socket.socket:

@@ -1,6 +1,6 @@
 // Where one looks from: presets and all of the cell.
 
-import { THREE } from "nicegui-scene";
+import { THREE } from "./vendor/three.js";
 import { el, part } from "./dom.js";
 import { framed } from "./framing.js";
 

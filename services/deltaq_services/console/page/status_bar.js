@@ -7,6 +7,7 @@ const SIGNS = { offline: "○", ready: "●", engaged: "▶", braking: "▼", he
 /** Say which cell it is, and whether its robots are real. */
 export function nameCell(scene) {
   say(part("cell"), scene.cell);
+  document.title = `deltaq · ${scene.cell}`;
   const reality = part("reality");
   say(reality, scene.emulated ? "EMULATED" : "REAL ROBOTS");
   reality.dataset.real = String(!scene.emulated);

@@ -1,7 +1,7 @@
 // The floor with its metre grid and the soft shadows of what stands and moves on it: the cell is drawn once from the
 // sun into a small picture, which the floor shows blurred.
 
-import { THREE } from "nicegui-scene";
+import { THREE } from "./vendor/three.js";
 import { SUN } from "./shading.js";
 
 const SIDE_PX = { full: 1024, lean: 256 };

@@ -1,7 +1,7 @@
 // How solid things look. Two ways: `full` for graphics hardware, and `lean`, lit at the corners of the triangles, for
 // browsers that compute WebGL with the processor. Both use the same lights.
 
-import { THREE } from "nicegui-scene";
+import { THREE } from "./vendor/three.js";
 
 export const SUN = new THREE.Vector3(-0.42, 0.34, 0.84).normalize();
 const RIM = new THREE.Vector3(0.72, -0.62, 0.31).normalize();

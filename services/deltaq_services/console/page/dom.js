@@ -1,6 +1,6 @@
 // Small helpers for the page's elements.
 
-/** The part of the page of that name, as layout.py has it. */
+/** The part of the page of that name, as index.html has it. */
 export function part(name) {
   const found = document.querySelector(`[data-part="${name}"]`);
   if (!found) throw new Error(`the page has no part "${name}"`);
@@ -13,6 +13,7 @@ export function el(tag, attributes = {}, ...children) {
   const element = svg ? document.createElementNS("http://www.w3.org/2000/svg", tag) : document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) {
     if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
+    else if (name === "style") element.style.cssText = value; // the attribute is not let through by the page's policy
     else if (value === true) element.setAttribute(name, "");
     else if (value !== false && value !== null && value !== undefined) element.setAttribute(name, value);
   }

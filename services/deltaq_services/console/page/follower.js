@@ -1,7 +1,7 @@
 // A follower's picture: a second camera in the same scene, with a reticle, as an inset or large, plain or in stereo. Of
 // several followers one is shown: the one that was chosen, or one that sees its target.
 
-import { THREE } from "nicegui-scene";
+import { THREE } from "./vendor/three.js";
 import { degrees, el, part, remember, remembered, say } from "./dom.js";
 import { Handover } from "./handover.js";
 

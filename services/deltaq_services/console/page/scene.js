@@ -1,6 +1,6 @@
 // The stage: renderer, floor, orbit and views, and the loop that draws only what has changed.
 
-import { OrbitControls, THREE } from "nicegui-scene";
+import { OrbitControls, THREE } from "./vendor/three.js";
 import { Floor } from "./floor.js";
 import { Pace } from "./pace.js";
 import { Screen } from "./screen.js";

@@ -1,6 +1,6 @@
 // The robots and the structure as three.js objects: one merged mesh a link, placed by forward kinematics.
 
-import { THREE } from "nicegui-scene";
+import { THREE } from "./vendor/three.js";
 import { Kinematics } from "./kinematics.js";
 import { merge } from "./meshes.js";
 

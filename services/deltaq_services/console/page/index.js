@@ -26,8 +26,7 @@ function liveUrl() {
   return `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live?${query}`;
 }
 
-/** Start; returns what stops it. */
-export async function start(holder) {
+async function start(holder) {
   const connection = new Connection(liveUrl());
   const live = new Live(connection);
   const stop = new Stop(live, (state, title, text) => {
@@ -57,5 +56,6 @@ export async function start(holder) {
     tellUndrawn(holder, live, error);
     part("console").dataset.ready = "undrawn";
   }
-  return () => connection.close();
 }
+
+await start(part("cell-view"));

@@ -1,6 +1,6 @@
 // Small pictures of a robot at configurations where it is not, drawn in a corner of the stage ahead of its own picture.
 
-import { THREE } from "nicegui-scene";
+import { THREE } from "./vendor/three.js";
 
 const WIDE_PX = 216;
 const HIGH_PX = 132;

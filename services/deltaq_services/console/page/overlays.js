@@ -1,6 +1,6 @@
 // What explains the picture: the nearest bodies, the coming brake, what bound the last verdict, and what the camera sees.
 
-import { THREE } from "nicegui-scene";
+import { THREE } from "./vendor/three.js";
 import { part, say } from "./dom.js";
 import { bodyShell } from "./robots.js";
 import { Tag } from "./tags.js";

@@ -1,6 +1,6 @@
 // Ways that a robot is offered, and their picture: where they lead as a ghost, and how the hand and the arm get there.
 
-import { THREE } from "nicegui-scene";
+import { THREE } from "./vendor/three.js";
 import { Kinematics } from "./kinematics.js";
 
 const CLEAR = "#8fd0ff";

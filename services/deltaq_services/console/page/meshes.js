@@ -1,6 +1,6 @@
 // Geometry of bodies: Wavefront OBJ files and basic shapes, smoothed, coloured and merged to few draw calls.
 
-import { THREE } from "nicegui-scene";
+import { THREE } from "./vendor/three.js";
 
 const SHARP_RAD = 0.61; // edges sharper than 35 degrees stay edges
 

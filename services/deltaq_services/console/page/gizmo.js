@@ -1,6 +1,6 @@
 // The gizmo: arrows and rings at a pose, which the pointer drags along and about the axes of the world or of the hand.
 
-import { THREE } from "nicegui-scene";
+import { THREE } from "./vendor/three.js";
 import { aboutAxis, alongAxis, turned } from "./drag_math.js";
 
 const COLOURS = ["#ff4f5e", "#62dfae", "#4fb3ea"];
