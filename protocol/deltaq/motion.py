@@ -177,7 +177,8 @@ class Motion:
         for segment in range(first, min(first + 8, segments)):
             along = self._path[segment + 1] - self._path[segment]
             length = float(along @ along)
-            rest = 0.0 if length == 0.0 else float((q_cmd - self._path[segment]) @ along) / length
+            # a segment without length ends where it begins: a robot may be asked to go where it is
+            rest = 1.0 if length == 0.0 else float((q_cmd - self._path[segment]) @ along) / length
             rest = min(1.0, max(0.0, rest))
             off = float(np.abs(self._path[segment] + rest * along - q_cmd).max())
             if off < nearest - 1e-12:

@@ -54,6 +54,14 @@ def test_a_joint_motion_keeps_all_limits_and_ends_at_rest_at_its_target(robot: s
     assert np.abs(start + along[:, None] * (target - start) - rows).max() < ROUNDING
 
 
+@pytest.mark.parametrize("off", [0.0, 1e-12, 1e-6])
+def test_a_motion_to_where_the_robot_is_ends(off: float) -> None:
+    summary = TOLD.robots["fr"]
+    start = np.array(summary.home)
+    rows = setpoints(Motion("fr", np.stack([start, start + off]), summary, CYCLE_S), start, "fr")
+    assert len(rows) < 10
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_a_motion_of_which_every_tenth_increment_is_lost_arrives(seed: int) -> None:
     summary = TOLD.robots["fr"]
