@@ -42,24 +42,22 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(
         HLI,
         "increments_repeated",
-        "lost or overtaken increments that a later increment brought to a playout buffer",
+        "lost or overtaken increments that a later increment repeated for the jitter buffer",
     ),
-    Counted(HLI, "increments_overtaken", "increments that came after a later increment had brought them"),
+    Counted(HLI, "increments_overtaken", "increments that came after a later increment had repeated them"),
     Counted(HLI, "requests", "increments passed on to the gate: at most one for each robot and cycle"),
     Counted(HLI, "refused", "increments that never reached the gate"),
     Counted(HLI, "refused_{code}", "increments that never reached the gate, for this reason"),
     Counted(
         HLI, "signs_of_life", "cycles without an increment to pass on, in which the gate got a heartbeat"
     ),
-    Counted(
-        HLI, "carried", "increments that came after their turn, and whose motion went out with later ones"
-    ),
+    Counted(HLI, "carried", "late increments whose motion later ones carried out"),
     Counted(HLI, "verdicts_{outcome}", "verdicts of the gate with this outcome"),
     Counted(HLI, "verdicts_ignored", "verdicts on a robot that the cell does not have"),
     Counted(
         HLI,
         "internal_errors",
-        "messages that were refused after an error that nobody foresaw; one that concerns motion holds its robot",
+        "messages that were refused after an unexpected error; one that concerns motion holds its robot",
     ),
     Counted(HLI, "malformed", "malformed messages of clients; each got an error if its sender is known"),
     Counted(HLI, "malformed_guarded", "malformed messages from the guarded realm"),
@@ -69,14 +67,13 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(
         HLI,
         "unbound_guarded",
-        "sealed messages from the guarded realm that were not made for this process: it has just begun, or they were "
-        "recorded before",
+        "sealed messages from the guarded realm made for another process: this one has just begun, or they are "
+        "recordings",
     ),
     Counted(
         HLI,
         "newcomers_passed_over",
-        "times that a sender that has not shown that it knows this process was left out of the next greeting: more of "
-        "them are heard than start, so recordings of many are repeated",
+        "unverified senders omitted from the handshake, because there were too many: somebody repeats recordings",
     ),
     Counted(HLI, "version_mismatches", "clients that speak another version of the protocol"),
     Counted(
@@ -105,7 +102,7 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(
         HLI,
         "tcp_connections_given_way",
-        "TCP connections that ended before they were taken up, because too many came",
+        "TCP connections closed before they were accepted, because too many came",
     ),
     Counted(
         HLI,
@@ -165,9 +162,7 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(SIM, "command_{kind}", "commands of this kind that were obeyed"),
     Counted(SIM, "command_{code}", "commands not obeyed for this reason"),
     Counted(SIM, "missed_admissions_{robot}", "admissions that the Robot Server of this robot did not take"),
-    Counted(
-        SIM, "in_hand_{robot}", "increments that were kept in hand from one cycle of this robot to the next"
-    ),
+    Counted(SIM, "in_hand_{robot}", "increments that were carried over to the next cycle of this robot"),
     Counted(SIM, "unknown_state", "states of a robot, or with joints, that the cell does not have"),
     Counted(
         SIM,
@@ -182,20 +177,19 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(
         SIM,
         "internal_errors",
-        "messages that were refused after an error that nobody foresaw; each holds the robot that it concerns",
+        "messages that were refused after an unexpected error; each holds the robot that it concerns",
     ),
     Counted(SIM, "unknown_request", "requests for a robot that the cell does not have"),
     Counted(SIM, "forged_messages", "messages whose seal is wrong, or that were replayed"),
     Counted(
         SIM,
         "unbound_messages",
-        "sealed messages that were not made for this process: it has just begun, or they were recorded before",
+        "sealed messages made for another process: this one has just begun, or they are recordings",
     ),
     Counted(
         SIM,
         "newcomers_passed_over",
-        "times that a sender that has not shown that it knows this process was left out of the next greeting: more of "
-        "them are heard than start, so recordings of many are repeated",
+        "unverified senders omitted from the handshake, because there were too many: somebody repeats recordings",
     ),
     Counted(SIM, "invalid_messages", "messages that are malformed"),
     Counted(ROBOT_SERVER, "admissions", "admissions that were taken"),
@@ -221,7 +215,7 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(
         ROBOT_SERVER,
         "internal_errors",
-        "messages, cycles and telegrams that failed with an error that nobody foresaw; each holds the robot",
+        "messages, cycles and telegrams that failed with an unexpected error; each holds the robot",
     ),
     Counted(ROBOT_SERVER, "krc_silent", "times that the KRC sent nothing for longer than it may"),
     Counted(ROBOT_SERVER, "modes_refused", "sessions of a KRC that does not take corrections as offsets"),
@@ -255,8 +249,7 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(
         ROBOT_SERVER,
         "newcomers_passed_over",
-        "times that a sender that has not shown that it knows this process was left out of the next greeting: more of "
-        "them are heard than start, so recordings of many are repeated",
+        "unverified senders omitted from the handshake, because there were too many: somebody repeats recordings",
     ),
     Counted(ROBOT_SERVER, "invalid_{message}", "malformed messages of this type"),
     Counted(CONSOLE, "clients", "browsers that were let in"),
@@ -265,7 +258,7 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(CONSOLE, "messages", "messages of browsers, valid or not"),
     Counted(CONSOLE, "malformed", "messages of browsers that are not valid commands"),
     Counted(CONSOLE, "malformed_heard", "messages of the HLI that could not be understood"),
-    Counted(CONSOLE, "internal_errors", "messages and ticks that failed with an error that nobody foresaw"),
+    Counted(CONSOLE, "internal_errors", "messages and ticks that failed with an unexpected error"),
     Counted(CONSOLE, "too_many", "commands beyond the number that a browser may send in a second"),
     Counted(CONSOLE, "repeated", "commands with an id that was used before"),
     Counted(CONSOLE, "expired", "commands that came too late to be carried out"),

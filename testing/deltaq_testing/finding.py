@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class RunFinding:
-    """The answer to a question about a run; true if what was asked for was so.
+    """The result of a check; true if the check holds.
 
     Attributes:
         good: whether it was.
@@ -28,7 +28,7 @@ class RunFinding:
 
 @dataclass(frozen=True)
 class JointTrackingError:
-    """How far a robot was from where it should have been: the largest joint's error [rad or m].
+    """Error of a robot against a reference: that of the joint that is furthest off [rad or m].
 
     Attributes:
         max: at any time.

@@ -139,7 +139,7 @@ class LiveCell(Observed):
             program.wait()
 
     def suffer(self, *faults: TimedFault) -> None:
-        """Let faults befall the cell when their time comes; times are counted from the beginning of the test.
+        """Schedule faults of the cell; times are counted from the beginning of the test.
 
         Raises:
             ScheduleError: one cannot be had here, would have had to begin before now, or two change the same part.
@@ -170,7 +170,7 @@ class LiveCell(Observed):
         self._read()
 
     def recover(self) -> bool:
-        """Do what an operator does until the robot may move: at the KRC's pendant, then a reset; whether it may."""
+        """Do what an operator does at the pendant, then reset; returns whether the robot may move."""
         deadline = time.monotonic() + _BACK_S
         while time.monotonic() < deadline:
             with suppress(PanelError, RefusedError, ServiceUnreachableError):

@@ -84,18 +84,18 @@ class Observed:
 
     @property
     def home(self) -> Array:
-        """(n,) where the robot is at home, and where a test begins [rad or m]."""
+        """Home configuration (n,), where a test begins [rad or m]."""
         return self.model.robots[self.robot].home
 
     @property
     def q(self) -> Array:
-        """(n,) where the robot is [rad or m]."""
+        """Measured configuration (n,) [rad or m]."""
         return self._own.q[-1]
 
     def kept_clear(self) -> RunFinding:
         """Whether all robots kept their stop distances to each other, to the structure and to themselves.
 
-        Measured by an independent oracle on every recorded configuration.
+        Measured by an independent checker on every recorded configuration.
         """
         oracle, gate = ClearanceOracle(self.model), self.model.description.gate
         moments = self._moments()
@@ -114,7 +114,7 @@ class Observed:
         return RunFinding(good, "; ".join(told) or "there are no two bodies that could touch")
 
     def kept_limits(self) -> RunFinding:
-        """Whether no robot was sent beyond a limit of position, speed or acceleration, and its KRC took all."""
+        """Whether all setpoints kept the limits of position, speed and acceleration, and the KRC refused none."""
         told, good = [], True
         for name, history in self.history.items():
             kept = self._kept(name, history)
@@ -129,7 +129,7 @@ class Observed:
         return RunFinding(good, "; ".join(told) or "no limit was passed")
 
     def rested_within(self, cycles: int, after_s: float | None = None) -> RunFinding:
-        """Whether the robot came to rest so soon.
+        """Whether the robot came to rest within a number of cycles.
 
         Args:
             cycles: between the beginning of the fault and the last motion before the rest; the brake may take them.
@@ -153,7 +153,7 @@ class Observed:
         )
 
     def ended_at(self, goal: Sequence[float] | Array, within: float) -> RunFinding:
-        """Whether the robot is where it should be.
+        """Whether the robot is within a tolerance of a goal.
 
         Args:
             goal: (n,) configuration [rad or m].
@@ -167,7 +167,7 @@ class Observed:
         )
 
     def tracking_error(self, reference: Callable[[float], Sequence[float] | Array]) -> JointTrackingError:
-        """How far the robot was from where it should have been.
+        """Error of the robot against a reference over time.
 
         Args:
             reference: (n,) configuration [rad or m] from the time since the beginning of the test [s].

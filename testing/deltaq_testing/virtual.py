@@ -85,12 +85,12 @@ class CellUnderTest(Observed):
 
     @property
     def reason(self) -> ReasonCode | None:
-        """Why the robot is held; None while it is not."""
+        """Reason for which the robot is held, or None."""
         return self._own.reasons[-1]
 
     @property
     def reasons(self) -> tuple[ReasonCode, ...]:
-        """Why the robot was held since the beginning of the test, each time once, in order."""
+        """Reasons of all holds since the beginning of the test, in order."""
         rows = self._own.reasons[self.ready_row :]
         return tuple(
             now for before, now in zip([None, *rows], rows, strict=False) if now not in (None, before)
@@ -102,7 +102,7 @@ class CellUnderTest(Observed):
         return tuple((timed.at_s, timed.end_s) for timed in self._begun)
 
     def account(self) -> str:
-        """What befell the cell, a line each; with the seed the run can be had again."""
+        """Cell, robot, seed and events as text, one a line; the seed repeats the run."""
         head = (
             f"cell {self.model.description.cell}, robot {self.robot}, seed {self.seed}, {self.time_s:.3f} s"
         )
@@ -111,10 +111,10 @@ class CellUnderTest(Observed):
     # --- before -------------------------------------------------------------------------------------------
 
     def drive(self, controller: Any, robot: str | None = None) -> None:
-        """Let a controller drive a robot.
+        """Drive a robot with a controller.
 
-        A fault that kills the controller's process ends with a new one: of a class a new object is made then, as when a
-        process starts; a function or an object goes on as it was.
+        A fault that kills the controller's process ends with a new process. Then a class makes a new object; a function
+        or an object continues as it was.
 
         Args:
             controller: a function from a `RobotState` to an increment (n,) [rad or m], a list or an array, or to None,
@@ -136,7 +136,7 @@ class CellUnderTest(Observed):
         self.connect(begin, name)
 
     def connect(self, begin: Callable[[Say], ErringClient], robot: str | None = None) -> None:
-        """Connect a client that speaks for itself, made anew by `begin` each time its process starts; as `drive`."""
+        """Connect a client of your own; `begin` makes it each time its process starts. Otherwise as `drive`."""
         name = self._free(robot)
         if name == self.robot:
             self._injector = VirtualInjector(self._stack, name, begin, self.seed, self._cycle)
@@ -147,10 +147,10 @@ class CellUnderTest(Observed):
     def drive_process(
         self, command: Sequence[str], robot: str | None = None, folder: Path | None = None
     ) -> None:
-        """Let a program of its own drive a robot over a socket; virtual time stands still until it has answered.
+        """Drive a robot with a program over a socket; virtual time waits for its answers.
 
-        It speaks JSON lines as with a running cell, is shown the states of the robot that it drives, and answers each
-        with one line: an increment, or where it wants none the renewal of its lease.
+        The program speaks JSON lines as with a running cell, and gets the states of the robot that it drives. It
+        answers each state with one line: an increment, or the renewal of its lease.
 
         Args:
             command: the program and its arguments, in which `{port}` stands for the port of 127.0.0.1 to connect to.
@@ -167,12 +167,12 @@ class CellUnderTest(Observed):
         self.connect(partial(LineController, name, program, self.note, partial(self._gone, name)), robot)
 
     def close(self) -> None:
-        """End the programs that drive."""
+        """End the programs that `drive_process` started."""
         for program in self._programs:
             program.close()
 
     def suffer(self, *faults: TimedFault) -> None:
-        """Let faults befall the robot under test when their time comes.
+        """Schedule faults of the robot under test.
 
         Raises:
             ScheduleError: one would have had to begin before now, or two change the same part at the same time.
@@ -184,7 +184,7 @@ class CellUnderTest(Observed):
     # --- the run ------------------------------------------------------------------------------------------
 
     def run(self, duration_s: float) -> None:
-        """Let so much time pass; what a controller raises comes out here.
+        """Run the cell for a duration; an error of a controller is raised here.
 
         Raises:
             CellUseError: nobody drives the robot under test.
@@ -197,7 +197,7 @@ class CellUnderTest(Observed):
             self._cycle()
 
     def recover(self) -> bool:
-        """Do what an operator does until the robot may move: at the KRC's pendant, then a reset; whether it may."""
+        """Do what an operator does at the KRC's pendant, then reset; returns whether the robot may move."""
         if self._injector is None:
             raise CellUseError(f"nobody drives {self.robot}: call drive(controller) before recover")
         for _ in range(_ATTEMPTS):
@@ -272,7 +272,7 @@ class CellUnderTest(Observed):
             history.protest = history.protest or pendant_message(sample.message)
 
     def note(self, message: Message) -> None:
-        """Count what a controller is told; a client that `connect` makes may pass it on to here."""
+        """Count a message to a controller; a client that `connect` makes may pass its messages here."""
         match message:
             case Verdict():
                 self.verdicts[message.outcome] += 1

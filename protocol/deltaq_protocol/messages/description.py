@@ -12,8 +12,8 @@ from deltaq_protocol.messages.base import PROTOCOL_VERSION, Joints, Message, Pos
 class Hello(Message):
     """The name and role of a TCP client; only a `challenge` and a stop may come before it.
 
-    `proof` shows the role of a token that is not sent: HMAC-SHA256 with the token over `deltaq hello ` and `challenge`,
-    which the server gave on this connection or another, in hexadecimal digits. Over TLS `token` does as well.
+    `proof` proves a token without sending it: HMAC-SHA256 with the token over `deltaq hello ` and `challenge`, in
+    hexadecimal digits. The server gave the challenge, on this connection or another. Over TLS `token` does as well.
     """
 
     type: Literal["hello"] = "hello"
@@ -68,7 +68,7 @@ class JointPlacement(Message):
 
 
 class CarriedFrame(Message):
-    """Where a frame is on the joint that carries it, by its place in the order from 0; of joint -1, in the world."""
+    """Pose of a frame in its parent joint. Joints are numbered from 0; -1 is the world."""
 
     joint: int = Field(ge=-1)
     T_joint_frame: PoseRows

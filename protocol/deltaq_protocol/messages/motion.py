@@ -54,16 +54,16 @@ class ToolPose(Message):
 
 
 class Playout(Message):
-    """The increments of a lease that wait for their turn in the HLI, so that each cycle has one though they jitter.
+    """The jitter buffer of a lease: increments wait in the HLI, so that each cycle has one.
 
-    An increment that answers cycle k is passed on with the state of cycle k + `delay_cycles`, which follows from how
-    long those before it were under way. `waiting` have come before their turn. The setpoint of this state has in it all
-    increments that answer a cycle up to `answered_cycle`, and none behind it; null before the first. `late` increments
-    came when their turn was over; `empty` cycles had none and braked. Both count from the grant.
+    The HLI passes an increment that answers cycle k on with the state of cycle k + `delay_cycles`. The delay follows
+    from the travel times of earlier increments. `waiting` increments have come early. The setpoint of this state
+    includes all increments that answer cycles up to `answered_cycle`, and no later ones; null before the first. `late`
+    increments missed their cycle, and `empty` cycles had no increment and braked. Both count from the grant.
 
-    `owed` is the motion of late ones that the setpoint does not have yet, less what the robot braked unasked in cycles
-    that were empty; null if there is none. It goes out with the increments to come, over a few cycles, so that the `dq`
-    of a verdict may have a part of it. An increment that is too late for that is refused as `late`.
+    `owed` is deferred motion: that of late increments, less the motion of the brake in empty cycles; null if there is
+    none. Increments of the next cycles carry it out, so the `dq` of a verdict may include a part of it. An increment
+    that is too late for that is refused as `late`.
     """
 
     delay_cycles: Count
@@ -80,7 +80,7 @@ class RobotState(Message):
     `q_cmd` is the setpoint just sent. In a cell with a lookahead an increment that answers this state goes into
     `setpoint_cycle`, and is added to `q_ahead`: the setpoint after all increments admitted so far, and after the
     brake in cycles without one. Without a lookahead both are null; they are then the next cycle and `q_cmd`.
-    `playout` is present if the robot's lease asked for a playout buffer. `sight` is how well the controller sees what
+    `playout` is present if the robot's lease asked for a jitter buffer. `sight` is how well the controller sees what
     it looks at, and `target` is what that is, as its newest increment says; null if it says nothing. `view` is the view
     last requested of its camera; it outlives leases, so that the next follower uses the same view.
     `gate` is the fingerprint of the gate: a hash of its code and one of its configuration; empty until the gate has
@@ -111,7 +111,7 @@ MOST_EARLIER = 4
 
 
 class EarlierIncrement(Message):
-    """An increment that was sent before, again: it may have been lost."""
+    """A repetition of an earlier increment, which may have been lost."""
 
     seq: Count
     cycle: Count
@@ -125,7 +125,7 @@ class Increment(Message):
     (`deltaq_protocol.proof`, with the token of the lease reply as the secret); over TCP the connection is the holder.
     `sight` and `target` are for people: states repeat them, and no decision depends on them.
     `earlier` has the increments sent just before, the oldest first, for a link that loses messages. One of them is used
-    if the lease has a playout buffer and it has not come itself; without a playout buffer they are ignored.
+    if the lease has a jitter buffer and it has not come itself; without a jitter buffer they are ignored.
     """
 
     type: Literal["increment"] = "increment"

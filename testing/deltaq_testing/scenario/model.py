@@ -86,7 +86,7 @@ class Tracking(ScenarioModel):
 
 
 class Expectations(ScenarioModel):
-    """What must come of the run; what is not named is not asked, but for `kept_clear` and `kept_limits`.
+    """Expected results; omitted ones are not checked, except `kept_clear` and `kept_limits`.
 
     `kept_clear` and `kept_limits` are asked unless they say false. `rested_within_cycles` counts from the first fault.
     `reasons` are those for which the robot was held, in order: none for an empty list. `phase` is that in the end.
