@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
+import stat
+from collections import Counter
 from collections.abc import AsyncIterator
 from pathlib import Path
 
@@ -20,7 +23,21 @@ from deltaq_protocol.errors import RefusedError
 from deltaq_protocol.messages import Increment, LeaseAction, LeaseRequest
 from deltaq_protocol.proof import Prover
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.hli.audit import Audit
+from deltaq_services.hli.audit import (
+    LONGEST_QUIET_S,
+    MANY,
+    MOST_BYTES,
+    MOST_FILES,
+    MOST_GROUPS,
+    NEW_GROUPS_S,
+    Audit,
+    AuditFile,
+    AuditFileError,
+    CountedDeed,
+    DeedGroups,
+    default_audit_file,
+    older,
+)
 from deltaq_services.hli.commands import Deed
 from deltaq_services.hli.line_encryption import line_encryption
 from deltaq_services.outputs import ClientOrigin
@@ -276,3 +293,218 @@ def test_recorders_are_sent_no_more_than_they_may_and_the_file_has_all(tmp_path:
         10 * len(AuditKind),
     )
     assert len((tmp_path / "audit.jsonl").read_bytes().splitlines()) == 10 * len(AuditKind)
+
+
+# The file of the audit log: a disk that fails first.
+
+
+def line(number: int) -> bytes:
+    return b'{"number":%04d}\n' % number
+
+
+def written(path: Path, numbers: range, **bounds: int) -> AuditFile:
+    """A closed file to which these lines were written."""
+    file = AuditFile(path, **bounds)
+    for number in numbers:
+        file.write(line(number))
+    file.close()
+    return file
+
+
+def test_a_full_disk_loses_lines_counts_them_and_says_why() -> None:
+    file = written(Path("/dev/full"), range(50))
+    assert file.lost == 50
+    assert file.fault == os.strerror(28)
+
+
+def test_a_pipe_that_nobody_reads_keeps_nobody_waiting(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    file = AuditFile(pipe)
+    for _ in range(3000):
+        file.write(b"x" * 99 + b"\n")
+    file.close()  # a pipe holds 64 KiB
+    assert 3000 - 64 * 1024 // 100 - 1 <= file.lost < 3000
+
+
+def test_a_folder_that_went_loses_lines_until_it_is_back(tmp_path: Path) -> None:
+    folder = tmp_path / "state"
+    folder.mkdir()
+    path = folder / "audit.jsonl"
+    file = AuditFile(path)
+    path.unlink()
+    folder.rmdir()
+    file.write(line(1))
+    while not file.lost:
+        pass
+    assert "No such file" in file.fault
+    folder.mkdir()
+    file.write(line(2))
+    file.close()
+    assert (path.read_bytes(), file.lost, file.fault) == (line(2), 1, "")
+
+
+@pytest.mark.parametrize("torn", [b'{"numb', b'{"number":0001}', b'{"number":0001}\n{"nu'])
+def test_a_line_that_a_crash_tore_is_ended_and_none_before_it_is_touched(tmp_path: Path, torn: bytes) -> None:
+    path = tmp_path / "audit.jsonl"
+    path.touch(0o600)
+    path.write_bytes(torn)
+    written(path, range(2, 4))
+    assert path.read_bytes() == torn + b"\n" + line(2) + line(3)
+
+
+def test_rotation_keeps_the_newest_and_no_more_than_it_may(tmp_path: Path) -> None:
+    path = tmp_path / "audit.jsonl"
+    written(path, range(100), most_bytes=160, most_files=3)
+    files = [path, *older(path, 3)]
+    assert sorted(tmp_path.iterdir()) == sorted(files)
+    assert all(0 < file.stat().st_size <= 160 for file in files)
+    kept = b"".join(file.read_bytes() for file in reversed(files))
+    assert kept == b"".join(line(number) for number in range(70, 100))
+
+
+def test_one_file_alone_is_bounded_too(tmp_path: Path) -> None:
+    path = tmp_path / "audit.jsonl"
+    written(path, range(25), most_bytes=160, most_files=1)
+    assert path.read_bytes() == b"".join(line(number) for number in range(20, 25))
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_file_that_somebody_moved_away_is_begun_anew(tmp_path: Path) -> None:
+    path = tmp_path / "audit.jsonl"
+    written(path, range(1))
+    file = AuditFile(path)
+    path.rename(tmp_path / "moved")
+    file.write(line(1))
+    file.close()
+    assert (path.read_bytes(), (tmp_path / "moved").read_bytes()) == (line(1), line(0))
+
+
+def test_it_is_its_owners_alone_whatever_the_mask(tmp_path: Path) -> None:
+    path = tmp_path / "audit.jsonl"
+    before = os.umask(0)
+    try:
+        written(path, range(30), most_bytes=160, most_files=2)
+    finally:
+        os.umask(before)
+    assert {stat.S_IMODE(file.stat().st_mode) for file in tmp_path.iterdir()} == {0o600}
+
+
+def test_one_that_others_may_read_or_that_cannot_be_opened_is_refused_by_name(tmp_path: Path) -> None:
+    path = tmp_path / "audit.jsonl"
+    path.touch()
+    path.chmod(0o644)
+    with pytest.raises(AuditFileError, match=r"audit\.jsonl has mode 0644 .* `chmod 600 "):
+        AuditFile(path)
+    with pytest.raises(AuditFileError, match=r"nowhere/x cannot be written: No such file"):
+        AuditFile(tmp_path / "nowhere" / "x")
+
+
+def test_by_default_it_is_with_the_users_state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    assert default_audit_file("lab") == tmp_path / "state" / "deltaq" / "audit-lab.jsonl"
+    assert stat.S_IMODE((tmp_path / "state" / "deltaq").stat().st_mode) == 0o700
+    monkeypatch.setenv("XDG_STATE_HOME", "/proc/nowhere")
+    with pytest.raises(AuditFileError, match="/proc/nowhere/deltaq cannot be made"):
+        default_audit_file("lab")
+
+
+# Equal deeds are counted, so that a flood of refused attempts fills no disk.
+
+
+def refused(client: str = "stranger", address: str = "10.0.0.9:4711", role: str = "observer") -> Deed:
+    origin = ClientOrigin(client, address, role)
+    return Deed(
+        AuditKind.LEASE_REFUSED, AuditOutcome.REFUSED, origin, "fr", ReasonCode.NOT_PERMITTED, "acquire"
+    )
+
+
+def flooded(groups: DeedGroups, deeds: list[Deed], each_s: float) -> list[CountedDeed]:
+    """What is told of deeds that come one by one, the rest included."""
+    told: list[CountedDeed] = []
+    for number, deed in enumerate(deeds):
+        now_s = number * each_s
+        told += groups.add(deed, now_s) + groups.due(now_s)
+    return told + groups.rest()
+
+
+def test_a_flood_of_equal_attempts_is_a_few_lines_and_none_goes_uncounted() -> None:
+    told = flooded(DeedGroups(), [refused()] * 100_000, each_s=0.001)
+    assert sum(counted.count for counted in told) == 100_000
+    assert len(told) <= 10  # 100 s: at 0, 1, 3, 7, 15, 31, 61, 91, and the rest
+
+
+def test_who_connects_again_each_time_is_one_group_and_the_newest_port_is_told() -> None:
+    deeds = [refused(address=f"[fe80::1]:{port}") for port in range(10_000, 20_000)]
+    told = flooded(DeedGroups(), deeds, each_s=0.00005)
+    assert [counted.count for counted in told] == [1, 9_999]
+    assert told[-1].deed.origin.address == "[fe80::1]:19999"
+
+
+@pytest.mark.long
+def test_a_flood_of_invented_names_is_bounded_and_counted_and_takes_no_line_from_others() -> None:
+    groups = DeedGroups()
+    strangers = [refused(client=f"stranger-{number}") for number in range(100_000)]
+    told = flooded(groups, strangers, each_s=0.001)
+    assert sum(counted.count for counted in told) == 100_000
+    assert len(told) < 2 * MOST_GROUPS + 2 * 100 * NEW_GROUPS_S + 10
+    assert {counted.deed.origin.client for counted in told} >= {"stranger-0", MANY}
+    (operator,) = groups.add(refused("the operator", role="operator"), 100.0)
+    assert operator.deed.origin.client == "the operator"
+    stop = Deed(AuditKind.STOP, AuditOutcome.ASKED, ClientOrigin("stranger-0", "10.0.0.9:4711", "observer"))
+    assert groups.add(stop, 100.0) == [CountedDeed(stop, 100.0, 1)]
+
+
+@pytest.mark.by_day(2)
+@pytest.mark.long
+@pytest.mark.parametrize("names", [1, MOST_GROUPS, 10 * MOST_GROUPS, 10_000])
+def test_the_worst_flood_of_a_kind_drives_no_entry_out_of_the_files_within_hours(names: int) -> None:
+    hours, each_s = 1.0, 0.02
+    groups, lines = DeedGroups(), 0
+    for number in range(int(hours * 3600 / each_s)):
+        now_s = number * each_s
+        told = groups.add(refused(f"stranger-{number % names}"), now_s) + groups.due(now_s)
+        lines += len(told)
+    line_bytes, kinds = 400, 15
+    assert lines / hours * line_bytes * kinds < MOST_BYTES * MOST_FILES / 8.0  # a shift of eight hours
+
+
+def test_each_setting_of_an_output_is_counted_by_what_was_set() -> None:
+    groups, told = DeedGroups(), list[CountedDeed]()
+    origin = ClientOrigin("driver", "10.0.0.7:1", "controller")
+    for number in range(1000):
+        text = "gripper on" if number % 2 else "gripper off"
+        deed = Deed(AuditKind.OUTPUTS, AuditOutcome.DONE, origin, "gr", text=text)
+        told += groups.add(deed, number * 0.1) + groups.due(number * 0.1)
+    counts: Counter[str] = Counter()
+    for counted in told + groups.rest():
+        counts[counted.deed.text] += counted.count
+    assert counts == {"gripper on": 500, "gripper off": 500}
+
+
+def test_what_differs_is_told_apart_and_at_once() -> None:
+    groups, deeds = DeedGroups(), [refused(), refused("another"), refused(address="10.0.0.8:1")]
+    assert [groups.add(deed, 0.0)[0].deed for deed in deeds] == deeds
+
+
+def test_what_comes_once_is_told_once_and_again_after_the_second() -> None:
+    groups = DeedGroups()
+    assert groups.add(refused(), 0.0)
+    assert groups.due(1.5) == []
+    assert groups.add(refused(), 2.0) == [CountedDeed(refused(), 2.0, 1)]
+
+
+def test_an_entry_of_many_has_the_time_of_the_newest() -> None:
+    groups = DeedGroups()
+    groups.add(refused(), 0.0)
+    groups.add(refused(), 0.4, count=7)
+    assert groups.due(0.9) == []
+    assert groups.due(1.2) == [CountedDeed(refused(), 0.4, 7)]
+
+
+def test_nothing_is_kept_of_strangers_who_have_gone() -> None:
+    groups = DeedGroups()
+    flooded(groups, [refused(client=str(number)) for number in range(1000)], each_s=0.001)
+    assert groups.due(2 * LONGEST_QUIET_S) == []
+    counts: Counter[str] = Counter(counted.deed.origin.client for counted in groups.rest())
+    assert not counts

@@ -2,13 +2,17 @@
 
 import numpy as np
 import pytest
+from gate_bench import CELL, LIMITS, PROXIMITY
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from spans import exact_drives
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.compiled_proximity import CompiledProximity
-from deltaq_services.sim.certificate import Certifier
+from deltaq_experiments.bench.cornered import stored
+from deltaq_services.sim.certificate import HALVINGS, Certificate, Certifier, Suspects, largest
+from deltaq_services.sim.compiled_certificate import CompiledCertifier
+from deltaq_services.sim.core import Sim
 from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.tube import Branch, Span, tube
 from deltaq_testing.oracle import ClearanceOracle
@@ -133,3 +137,187 @@ def test_an_empty_budget_means_no(cell, proximity):
         np.array([q, np.clip(q + 1.0, cell.robots["fr"].lower, cell.robots["fr"].upper)]), np.zeros(6), 0.0
     )
     assert not Certifier(proximity, budget=0).certify("fr", far, []).holds
+
+
+# The search for the largest share: what it finds was certified in full, whatever was suspected.
+
+REFUSED = 0.8
+LEAST = REFUSED / 2**HALVINGS
+
+
+class Judged:
+    """Scales that are certified, and those that each suspect keeps apart at; both are written down."""
+
+    def __init__(self, certified, *suspected):
+        self._certified, self._suspected = certified, suspected
+        self.certificates, self.suspects = [], []
+
+    def certify(self, scale):
+        self.certificates.append(scale)
+        name = str(min(len(self.certificates), len(self._suspected) - 1))
+        return Certificate(
+            self._certified(scale), None, None if self._certified(scale) else Suspects(name, ())
+        )
+
+    def holds(self, scale, suspects):
+        self.suspects.append([one.other for one in suspects])
+        return all(self._suspected[int(one.other)](scale) for one in suspects)
+
+    def largest(self):
+        return largest(self.certify, self.holds, REFUSED, Certificate(False, None, Suspects("0", ())))
+
+
+def up_to(greatest):
+    return lambda scale: scale <= greatest
+
+
+@pytest.mark.parametrize("greatest", [0.0, 0.025, 0.03, 0.3, 0.49, 0.79])
+def test_the_largest_share_is_found_to_a_thirty_second_by_one_certificate(greatest):
+    judged = Judged(up_to(greatest), up_to(greatest))
+    assert greatest - LEAST <= judged.largest() <= greatest
+    assert len(judged.certificates) == (1 if greatest >= LEAST else 0)
+
+
+def test_where_suspects_are_refused_the_least_share_nothing_else_is_asked():
+    judged = Judged(up_to(1.0), up_to(0.02))
+    assert judged.largest() == 0.0
+    assert (judged.certificates, len(judged.suspects)) == ([], 1)
+
+
+def test_a_pair_that_nobody_suspected_is_from_then_on():
+    judged = Judged(up_to(0.3), up_to(0.6), up_to(0.3))
+    assert 0.3 - LEAST <= judged.largest() <= 0.3
+    assert len(judged.certificates) == 2
+    assert judged.suspects[0] == ["0"]
+    assert judged.suspects[-1] == ["0", "1"]
+
+
+def test_where_suspects_are_never_the_right_ones_the_least_share_is_tried():
+    judged = Judged(up_to(LEAST), up_to(1.0))
+    assert judged.largest() == LEAST
+    assert judged.certificates[-1] == LEAST
+    assert len(judged.certificates) == 4
+
+
+def test_where_suspects_are_never_the_right_ones_the_least_share_has_to_be_certified_too():
+    judged = Judged(up_to(0.0), up_to(1.0))
+    assert judged.largest() == 0.0
+    assert judged.certificates[-1] == LEAST
+
+
+def test_where_nothing_stands_in_the_way_no_more_is_asked_for_than_was_refused():
+    judged = Judged(up_to(1.0), up_to(1.0))
+    assert REFUSED - LEAST <= judged.largest() < REFUSED
+
+
+def test_what_is_refused_at_the_least_share_is_not_tried_again():
+    judged = Judged(up_to(0.0), up_to(LEAST))
+    assert judged.largest() == 0.0
+    assert judged.certificates == [LEAST]
+
+
+@given(st.frozensets(st.integers(1, 31)), st.lists(st.frozensets(st.integers(1, 31)), min_size=1, max_size=3))
+def test_what_is_found_was_certified_and_below_what_was_refused(certified, suspected):
+    def of(shares):
+        return lambda scale: round(scale / LEAST) in shares
+
+    judged = Judged(of(certified), *map(of, suspected))
+    found = judged.largest()
+    assert 0.0 <= found < REFUSED
+    assert found == 0.0 or (found in judged.certificates and of(certified)(found))
+    assert len(judged.certificates) <= 4
+
+
+# The certificate in machine code against the readable one, where robots are cornered.
+
+AMPLE = 4000
+"""Pieces for the readable code: as many as it likes."""
+
+
+@pytest.fixture(scope="module")
+def cornered():
+    """Robots, tubes that they are asked for, and tubes of others."""
+    sim = Sim(CELL, epoch=0)
+    found = []
+    for situation in stored()[::4]:
+        sim.restore(situation.memory)
+        robot = sim.robots[situation.request.robot].tracker
+        others = [item.tracker for name, item in sim.robots.items() if name != robot.name]
+        tubes = [(other.name, tube) for other in others for tube in other.tubes()]
+        brake, request = robot.brake(), np.array(situation.request.dq)
+        for scale in (0.05, 0.4):
+            dq = brake + scale * (request - brake)
+            tube = robot.tube(Branch(dq, LIMITS[robot.name].brake_cycles(dq), -1))
+            found.append((robot.name, tube, tubes))
+    return found
+
+
+@pytest.mark.long
+def test_nothing_is_certified_that_the_readable_code_does_not_certify(cornered):
+    by_kernel = [CompiledCertifier(PROXIMITY).certify(*one).holds for one in cornered]
+    readable = [Certifier(PROXIMITY, AMPLE).certify(*one).holds for one in cornered]
+    usual = [Certifier(PROXIMITY).certify(*one).holds for one in cornered]
+    assert 0 < sum(by_kernel) < len(cornered)
+    assert not [index for index, holds in enumerate(by_kernel) if holds and not readable[index]]
+    assert sum(by_kernel) >= sum(usual)
+
+
+def test_the_pair_that_is_told_is_the_readable_ones(cornered):
+    for name, whole, others in cornered:
+        told = CompiledCertifier(PROXIMITY).certify(name, whole, others)
+        expected = Certifier(PROXIMITY, AMPLE).certify(name, whole, others)
+        if told.holds and expected.holds:
+            assert told.binding.room_m == pytest.approx(expected.binding.room_m, abs=2e-6)
+            assert told.binding.nearest.pair == expected.binding.nearest.pair
+
+
+def test_nobody_is_told_who_did_not_ask(cornered):
+    for one in cornered:
+        told, quiet = (
+            CompiledCertifier(PROXIMITY).certify(*one),
+            CompiledCertifier(PROXIMITY, tells=False).certify(*one),
+        )
+        assert quiet.holds == told.holds
+        assert quiet.binding is None
+
+
+def test_nothing_that_was_certified_before_changes_a_bit(cornered):
+    def answers():
+        for one in cornered:
+            certificate = CompiledCertifier(PROXIMITY).certify(*one)
+            binding = certificate.binding
+            yield certificate.holds, binding.nearest.pair, binding.nearest.swept_m.hex()
+
+    first = list(answers())
+    for one in reversed(cornered):
+        CompiledCertifier(PROXIMITY, tells=False).certify(*one)
+    assert list(answers()) == first
+
+
+def test_where_a_certificate_failed_it_fails_again_for_those_pairs_alone(cornered):
+    failed = 0
+    for name, whole, others in cornered:
+        certificate = CompiledCertifier(PROXIMITY).certify(name, whole, others)
+        if certificate.holds:
+            assert certificate.failing is None
+            continue
+        failed += 1
+        assert not CompiledCertifier(PROXIMITY, tells=False).judge(name, whole, others, [certificate.failing])
+        assert CompiledCertifier(PROXIMITY).judge(name, whole, others, [])
+        nobody = Suspects("nobody", certificate.failing.groups)
+        assert CompiledCertifier(PROXIMITY).judge(name, whole, others, [nobody])
+    assert failed
+
+
+def test_a_budget_is_what_may_be_searched_in_parts(cornered):
+    divided = [one for one in cornered if CompiledCertifier(PROXIMITY).certify(*one).holds]
+    spent = 0
+    for one in divided:
+        certifier = CompiledCertifier(PROXIMITY)
+        certifier.certify(*one)
+        needed = CompiledCertifier(PROXIMITY)._left - certifier._left
+        assert CompiledCertifier(PROXIMITY, budget=needed).certify(*one).holds
+        if needed:
+            spent += 1
+            assert not CompiledCertifier(PROXIMITY, budget=0).certify(*one).holds
+    assert spent

@@ -1,16 +1,23 @@
 """The brake of a robot whose Robot Server has died: from its last record to rest, by the KRC's telegrams alone."""
 
+import math
+import mmap
+import random
 import re
+import struct
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from crash_bench import PEER, PLAN, RECORDS, TELEGRAMS, CrashSide
+from hypothesis import given
+from hypothesis import strategies as st
 from krc_side import CELL, FR, MAX_DV, XML, KrcSide
 
 from deltaq_protocol.brake import brake_cycles, brake_increment
 from deltaq_services.robot_server.crash_brake.core import STOP_CYCLES, CrashBrake, CrashPlan
-from deltaq_services.robot_server.crash_brake.record import SENT
+from deltaq_services.robot_server.crash_brake.memory import CrashMemory
+from deltaq_services.robot_server.crash_brake.record import SENT, CrashRecord, CrashRecords
 from deltaq_services.robot_server.rsi_driver import crash_plan, sensor_codec
 
 ROUNDING = 2e-8
@@ -318,3 +325,289 @@ def test_where_a_krc_may_be_silent_for_no_more_than_a_cycle_none_is_skipped(krc)
     krc.tick()
     assert brake.answer([(krc.own(), PEER)], now_s) is None
     assert not brake.over
+
+
+# The record that a Robot Server leaves before each reply: whatever a kill does to it, no motion is invented.
+
+numbers = st.floats(allow_nan=False, allow_infinity=False, width=64)
+
+
+def joints(values=numbers):
+    return st.tuples(*[values] * 6)
+
+
+records = st.builds(
+    CrashRecord,
+    ipoc=st.integers(0, 2**32 - 1),
+    late=st.integers(-(2**40), 2**40),
+    programmed=st.integers(0, 2**32 - 1),
+    ipoc_step=st.integers(1, 1000),
+    outputs=st.tuples(st.booleans(), st.booleans(), st.booleans()),
+    correction=joints(),
+    plan_dq=joints(),
+    brake_cycles=st.integers(1, 1000),
+    step=st.integers(0, 1000),
+    lower=joints(st.floats(allow_nan=False)),
+    upper=joints(st.floats(allow_nan=False)),
+)
+LAYOUT = CrashRecords(6, 3)
+
+
+def left(bodies, sent=None):
+    """Memory after records one to `len(bodies)`, of which `sent` was sent last."""
+    memory = bytearray(LAYOUT.total)
+    for number, body in enumerate(bodies, 1):
+        place, record = LAYOUT.sealed(body, number, PEER, 0.5 * number)
+        memory[place : place + len(record)] = record
+    SENT.pack_into(memory, LAYOUT.sent_at, len(bodies) if sent is None else sent)
+    return memory
+
+
+@pytest.mark.long
+@given(records, records)
+def test_the_newest_is_read_as_it_was_written(older, newer):
+    found = LAYOUT.newest(bytes(left([LAYOUT.body(older), LAYOUT.body(newer)])))
+    assert found == (newer, PEER, 1.0, True)
+
+
+@pytest.mark.long
+@given(records, records, st.data())
+def test_a_write_torn_anywhere_leaves_the_one_before(older, newer, data):
+    memory = left([LAYOUT.body(older), LAYOUT.body(older)], sent=2)
+    place, record = LAYOUT.sealed(LAYOUT.body(newer), 3, PEER, 1.5)
+    end = data.draw(st.integers(0, len(record) - 1))
+    torn = memory.copy()
+    torn[place : place + end] = record[:end]
+    found = LAYOUT.newest(bytes(torn))
+    assert found is not None
+    assert found.time_s in (1.0, 1.5)
+    assert (found.record, found.was_sent) == ((older, True) if found.time_s == 1.0 else (newer, False))
+
+
+@pytest.mark.long
+@given(records, records, st.data())
+def test_with_any_byte_flipped_it_is_the_same_record_or_the_older_or_none(older, newer, data):
+    memory = left([LAYOUT.body(older), LAYOUT.body(newer)])
+    at = data.draw(st.integers(0, len(memory) - 1))
+    memory[at] ^= data.draw(st.integers(1, 255))
+    found = LAYOUT.newest(bytes(memory))
+    if found is not None:
+        assert found.record in (older, newer)
+        # the older one is gone on from only if the newer was not sent
+        assert found.time_s == 1.0 or not found.was_sent
+        assert found.time_s == 1.0 or SENT.unpack_from(memory, LAYOUT.sent_at)[0] <= 1
+
+
+def test_with_any_byte_of_the_newest_flipped_after_it_was_sent_nothing_moves():
+    krc = CrashSide().begin().run_up(4)
+    place = (krc.number & 1) * RECORDS.size
+    length = len(RECORDS.sealed(krc.record(krc.own()), krc.number, PEER, 0.0)[1])
+    for at in range(place, place + length):
+        memory = krc.memory.copy()
+        memory[at] ^= 1
+        assert RECORDS.newest(bytes(memory)) is None
+
+
+def test_where_nothing_was_left_nothing_is_found():
+    assert LAYOUT.newest(bytes(LAYOUT.total)) is None
+    # a checksum of nothing but zeros is none of a record either
+    memory = bytearray(LAYOUT.total)
+    place, record = LAYOUT.sealed(bytes(len(LAYOUT.body(some()))), 0, ("0.0.0.0", 0), 0.0)
+    memory[place : place + len(record)] = record
+    assert LAYOUT.newest(bytes(memory)) is None
+
+
+def some():
+    zeros = (0.0,) * 6
+    return CrashRecord(0, 0, 0, 1, (False,) * 3, zeros, zeros, 1, 1, zeros, (math.inf,) * 6)
+
+
+def test_the_number_of_the_reply_that_was_sent_is_written_in_one_piece():
+    assert SENT.size == struct.calcsize("Q") == 8
+    assert LAYOUT.sent_at % SENT.size == 0
+
+
+@pytest.mark.parametrize(("joints", "outputs"), [(6, 0), (6, 3), (9, 5)])
+def test_two_records_lie_apart_in_whole_words_and_the_number_that_was_sent_behind_them(joints, outputs):
+    layout = CrashRecords(joints, outputs)
+    zeros = (0.0,) * joints
+    record = replace(
+        some(), outputs=(True,) * outputs, correction=zeros, plan_dq=zeros, lower=zeros, upper=zeros
+    )
+    memory = bytearray(layout.total)
+    ends = []
+    for number in (2, 3):
+        place, whole = layout.sealed(layout.body(record), number, PEER, 0.5)
+        memory[place : place + len(whole)] = whole
+        assert place == (number - 2) * layout.size
+        ends.append(place + len(whole))
+    assert layout.size % 8 == 0
+    assert layout.size - 8 < ends[0] <= layout.size
+    assert ends[1] <= layout.sent_at == 2 * layout.size
+    assert layout.total == layout.sent_at + 8
+    SENT.pack_into(memory, layout.sent_at, 3)
+    assert layout.newest(bytes(memory)) == (record, PEER, 0.5, True)
+
+
+def test_memory_holds_the_records_that_were_written_and_the_number_of_the_one_that_was_sent():
+    bodies = [LAYOUT.body(replace(some(), ipoc=ipoc)) for ipoc in (1, 2, 3)]
+    with mmap.mmap(-1, CrashMemory.bytes_for(LAYOUT)) as file:
+        memory = CrashMemory(file, LAYOUT)
+        memory.write(bodies[0], PEER, 0.5)
+        memory.write(bodies[1], PEER, 1.0)
+        memory.sent()
+        assert file[: LAYOUT.total] == bytes(left(bodies[:2]))
+        memory.write(bodies[1], PEER, 1.5)
+        memory.write(bodies[1], PEER, 2.0)
+        memory.sent()
+        assert file[: LAYOUT.total] == bytes(left([*bodies[:2], bodies[1], bodies[1]]))
+        memory.close()
+
+
+# Robot Servers that die in any cycle of any motion, before a KRC on a bad wire among strangers.
+
+_MOST = FR.max_velocity * 0.012
+
+
+class Death:
+    """One death, and what came after it.
+
+    Attributes:
+        course: corrections that the brake may reach, in order (m, n); the first is the one that the KRC has.
+        at: which of them the KRC has.
+    """
+
+    def __init__(self, seed):
+        self.random = random.Random(seed)
+        self.krc = CrashSide().begin()
+        self._move()
+        self.course, self.at = self._die(), 0
+        self.brake = self.krc.dead()
+
+    def _move(self):
+        krc, draw = self.krc, self.random
+        for _ in range(draw.randint(1, 40)):
+            if draw.random() < 0.15:
+                krc.cycle()  # it brakes
+                continue
+            wanted = np.array(krc.server.state.dq) + MAX_DV * np.array(
+                [draw.uniform(-1.0, 1.0) for _ in range(6)]
+            )
+            krc.cycle(krc.admission(np.clip(wanted, -0.9 * _MOST, 0.9 * _MOST)))
+
+    def _die(self):
+        """The last moments: between two cycles, or with a telegram in hand, its reply unsent, or sent and not noted."""
+        krc, how = self.krc, self.random.choice(["between", "read", "recorded", "on its way", "not noted"])
+        begin = krc.correction.copy()
+        dq, step = np.array(krc.server.state.plan.dq), krc.server.state.plan.step
+        if how == "between":
+            return self._line(begin, dq, step)
+        krc.tick()
+        own = krc.own()
+        if how != "read":
+            admission = krc.admission(np.clip(np.array(krc.server.state.dq) + 0.7 * MAX_DV, -_MOST, _MOST))
+            answer = krc.codec.decode(krc.answer(own, admission))
+            krc.leave(own, is_sent=how == "on its way")
+            dq, step = np.array(krc.server.state.plan.dq), krc.server.state.plan.step
+            line = self._line(answer.correction, dq, step)
+            if how == "not noted":
+                krc.correction = answer.correction
+                return line
+            krc.late += 1
+            return np.vstack([begin, line]) if np.any(line[0] != begin) else line
+        krc.late += 1
+        return self._line(begin, dq, step)
+
+    @staticmethod
+    def _line(begin, dq, step):
+        cycles = max(1, math.ceil(np.max(np.abs(dq) / MAX_DV) - 1e-6))
+        left = [dq * (cycles - k) / cycles for k in range(step + 1, cycles)]
+        return np.cumsum([begin, *left], axis=0)
+
+    def run(self):
+        for _ in range(400):
+            if self.brake.over:
+                return
+            self._cycle()
+        pytest.fail("it never ended")
+
+    def _cycle(self):
+        krc, draw = self.krc, self.random
+        before, replies = self.brake.correction, self.brake.replies
+        krc.tick()
+        waiting = [self._rubbish() for _ in range(draw.choice([0, 0, 1, 3]))]
+        if draw.random() < 0.9:
+            waiting.insert(draw.randint(0, len(waiting)), (krc.own(), PEER))
+        reply = self.brake.answer(waiting, krc.time_s)
+        assert self.brake.replies - replies == (reply is not None)
+        self._judge_step(np.array(before), np.array(self.brake.correction))
+        told = krc.codec.decode(reply) if reply is not None else None
+        # a reply to a telegram that came late is late to the KRC, which takes it as none
+        arrives = told is not None and told.ipoc == krc.ipoc and draw.random() < 0.9
+        if told is not None and arrives:
+            self._krc_moves(told.correction)
+            krc.stop = told.outputs["stop"]
+            assert not krc.stop or self.at == len(self.course) - 1
+        else:
+            krc.late += 1
+
+    def _judge_step(self, before, after):
+        """One reply goes no further than an increment from the one before it."""
+        assert np.all(np.abs(after - before) <= _MOST * (1 + 1e-6))
+
+    def _krc_moves(self, correction):
+        """The KRC may stay, or go to the next place on the line: never further, never off it, never back."""
+        nexts = self.course[self.at : self.at + 2]
+        off = np.abs(nexts - correction).max(axis=1)
+        assert off.min() <= ROUNDING, f"it is at none of its next places: off by {off}"
+        self.at += int(off.argmin()) if off.min() < off[0] else 0
+        self.krc.correction = correction
+
+    def _rubbish(self):
+        own, draw = self.krc.own(), self.random
+        kind = draw.randrange(6)
+        if kind == 0:
+            return own[: draw.randrange(len(own))], PEER
+        if kind == 1:
+            place = draw.randrange(len(own))
+            return own[:place] + bytes([draw.choice(b"<>\x00zX/")]) + own[place:], PEER
+        if kind == 2:
+            return own, ("192.0.2.17", 1)
+        if kind == 3:
+            return own, ("192.0.2.99", PEER[1])
+        shift = draw.choice([-120, -12, -5, 1, 7, 12 * 1000])
+        shifted = re.sub(rb"<IPOC>(\d+)<", lambda m: b"<IPOC>%d<" % (int(m[1]) + shift), own)
+        if kind == 4:
+            return shifted, PEER
+        return self.krc.own(programmed=FR.home + draw.uniform(0.001, 1.0)), PEER
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "block", [0, *(pytest.param(block, marks=pytest.mark.nightly) for block in range(1, 8))]
+)
+def test_whatever_the_wire_does_the_robot_stays_on_the_line_of_its_brake_and_comes_to_rest(block):
+    rested = 0
+    for seed in range(100 * block, 100 * block + 100):
+        death = Death(seed)
+        death.run()
+        rested += death.at == len(death.course) - 1
+    assert rested > 90  # others ended where the KRC was silent for too long
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_on_a_good_wire_no_limit_of_acceleration_is_passed_and_the_robot_rests_where_its_brake_ends(seed):
+    krc = CrashSide().begin()
+    draw = random.Random(seed)
+    for _ in range(draw.randint(1, 40)):
+        wanted = np.array(krc.server.state.dq) + MAX_DV * np.array(
+            [draw.uniform(-1.0, 1.0) for _ in range(6)]
+        )
+        krc.cycle(krc.admission(np.clip(wanted, -0.9 * _MOST, 0.9 * _MOST)))
+    brake = krc.dead()
+    while not brake.over:
+        krc.after(brake)
+    steps = np.diff(np.array(krc.setpoints), axis=0)
+    assert np.all(np.abs(np.diff(steps, axis=0)) <= MAX_DV * (1 + 1e-6) + 4 * ROUNDING)
+    assert not steps[-STOP_CYCLES:].any()
+    assert krc.stop

@@ -1,14 +1,27 @@
 """The Robot Server's own guards, at their bounds."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from small_cell import server_state
 
+from deltaq_cell.load import load_cell
 from deltaq_protocol import topics
 from deltaq_protocol.guarded import Admission
 from deltaq_services.robot_server.guards import Bounds, Refusal, refusal
+from deltaq_services.robot_server.reply_guard import ReplyFault, reply_fault
+from deltaq_services.robot_server.session import (
+    LIMIT_MARGIN_M,
+    LIMIT_MARGIN_RAD,
+    RESOLUTION_M,
+    RESOLUTION_RAD,
+    VELOCITY_MARGIN,
+    Plausibility,
+)
 
 MAX_DQ, MAX_DV = np.full(6, 0.016), np.full(6, 0.001)
 BOUNDS = Bounds(lower=np.full(6, -1.0), upper=np.full(6, 2.0), max_dq=MAX_DQ, max_dv=MAX_DV)
@@ -87,3 +100,140 @@ def test_an_admission_may_be_as_old_as_the_table_of_topics_says_and_is_never_of_
     assert answer(age_cycles=max_age_cycles) is None
     assert answer(age_cycles=max_age_cycles + 1) is Refusal.LATE
     assert answer(age_cycles=-1) is Refusal.LATE
+
+
+# The last look at a reply: whatever was decided before, nothing but a small step inside the limits is sent.
+
+MOST = (0.1, 0.2)
+LOWER, UPPER = (-1.0, -2.0), (1.0, 2.0)
+
+
+def fault(correction, last=(0.0, 0.0)):
+    return reply_fault(correction, last, MOST, LOWER, UPPER)
+
+
+@pytest.mark.parametrize("correction", [(0.0, 0.0), (0.1, 0.2), (-0.1, -0.2), (0.1 * (1 + 5e-7), 0.0)])
+def test_what_a_joint_may_travel_in_a_cycle_is_sent(correction):
+    assert fault(correction) is None
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("joint", [0, 1])
+def test_what_is_not_finite_is_refused(value, joint):
+    correction = [0.0, 0.0]
+    correction[joint] = value
+    found = fault(correction)
+    assert (found.joint, found.what, found.bound) == (joint, "is not finite", MOST[joint])
+    assert found.value is value
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("joint", [0, 1])
+def test_a_leap_is_refused_from_wherever_it_starts(joint, sign):
+    last = [0.3, -0.4]
+    correction = list(last)
+    correction[joint] += sign * (MOST[joint] + 1e-6)
+    found = fault(correction, last)
+    assert (found.joint, found.what, found.bound) == (joint, "leaps", MOST[joint])
+    assert found.value == pytest.approx(sign * (MOST[joint] + 1e-6))
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_a_correction_beyond_its_limits_is_refused(joint):
+    for bounds, sign, what in ((UPPER, 1, "is above its limit"), (LOWER, -1, "is below its limit")):
+        last = [0.0, 0.0]
+        last[joint] = bounds[joint]
+        correction = list(last)
+        correction[joint] += sign * 1e-8
+        assert fault(correction, last) == ReplyFault(joint, what, correction[joint], bounds[joint])
+        correction[joint] = bounds[joint] + sign * 1e-10
+        assert fault(correction, last) is None
+
+
+def test_from_outside_its_limits_a_correction_may_stay_and_come_back_and_not_go_further():
+    for sign in (1, -1):
+        last = (sign * 1.5, 0.0)
+        assert fault(last, last) is None
+        assert fault((sign * 1.45, 0.0), last) is None
+        assert fault((sign * 1.55, 0.0), last) is not None
+
+
+def test_a_fault_says_joint_value_and_bound():
+    found = fault((0.0, 0.25))
+    assert str(found) == "correction of joint 2 leaps: 0.25, allowed 0.2 (rad or m)"
+
+
+@given(st.lists(st.floats(), min_size=2, max_size=2), st.lists(st.floats(-1, 1), min_size=2, max_size=2))
+def test_what_is_let_pass_is_a_small_step_inside_the_limits(correction, last):
+    if fault(correction, last) is None:
+        for joint in (0, 1):
+            assert abs(correction[joint] - last[joint]) <= MOST[joint] * (1 + 1e-6)
+            assert LOWER[joint] - 1e-9 <= correction[joint] <= UPPER[joint] + 1e-9
+
+
+# What can be true of a reported position.
+
+CELL = load_cell("lab")
+GR = CELL.robots["gr"]
+LINEAR = np.array([unit == "m" for unit in GR.units])
+MARGIN = np.where(LINEAR, LIMIT_MARGIN_M, LIMIT_MARGIN_RAD)
+
+
+@pytest.fixture
+def plausible():
+    """Made for each test: what a module makes as it is read is made once, whatever is tried on the code later."""
+    return Plausibility.of(GR, CELL.cycle_s)
+
+
+def with_joint(q, joint, value):
+    changed = q.copy()
+    changed[joint] = value
+    return changed.tolist()
+
+
+@pytest.mark.parametrize("joint", range(9))
+def test_a_joint_is_believed_to_its_limit_and_a_margin_and_no_further(plausible, joint):
+    for bound, sign, word in ((GR.lower - MARGIN, -1, "below"), (GR.upper + MARGIN, 1, "above")):
+        assert plausible.of_place(with_joint(GR.home, joint, bound[joint] - sign * 1e-9)) is None
+        fault = plausible.of_place(with_joint(GR.home, joint, bound[joint] + sign * 1e-6))
+        assert (fault.joint, fault.what) == (GR.joint_names[joint], f"is {word} its limit and a margin")
+        assert fault.value == pytest.approx(bound[joint], abs=1e-5)
+        assert fault.bound == pytest.approx(bound[joint])
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_what_is_not_finite_is_nowhere(plausible, value):
+    assert plausible.of_place(with_joint(GR.home, 4, value)).joint == "a2"
+    assert plausible.of_motion(with_joint(GR.home, 4, value), GR.home.tolist(), 1).joint == "a2"
+
+
+@pytest.mark.parametrize("joint", range(9))
+@pytest.mark.parametrize("cycles", [1, 7])
+def test_a_joint_is_believed_as_far_as_it_can_have_moved_since(plausible, joint, cycles):
+    resolution = RESOLUTION_M if LINEAR[joint] else RESOLUTION_RAD
+    reach = VELOCITY_MARGIN * cycles * CELL.cycle_s * GR.max_velocity[joint] + resolution
+    home = GR.home.tolist()
+    for sign in (1, -1):
+        near, far = (GR.home[joint] + sign * reach * share for share in (1 - 1e-6, 1 + 1e-6))
+        assert plausible.of_motion(with_joint(GR.home, joint, near), home, cycles) is None
+        fault = plausible.of_motion(with_joint(GR.home, joint, far), home, cycles)
+        assert (fault.joint, fault.what) == (
+            GR.joint_names[joint],
+            f"cannot have moved so far in {cycles} cycles",
+        )
+        assert (fault.value, fault.bound) == (pytest.approx(reach, rel=1e-5), pytest.approx(reach))
+
+
+def test_exactly_at_its_bounds_a_position_is_believed(plausible):
+    assert plausible.of_place(plausible.lower) is None
+    assert plausible.of_place(plausible.upper) is None
+    furthest = [
+        3 * reach + rounding for reach, rounding in zip(plausible.reach, plausible.resolution, strict=True)
+    ]
+    assert plausible.of_motion(furthest, [0.0] * 9, 3) is None
+
+
+@pytest.mark.parametrize("joints", [6, 10])
+def test_a_position_of_another_number_of_joints_is_an_error_and_never_half_looked_at(plausible, joints):
+    with pytest.raises(ValueError, match="argument"):
+        plausible.of_place([0.0] * joints)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import struct
+import threading
 import tracemalloc
 from pathlib import Path
 
@@ -17,6 +20,7 @@ from rewritten import rewrite
 from deltaq_cell.cell_model import CellModel
 from deltaq_protocol import topics
 from deltaq_protocol.messages import Description, Phase, RobotState
+from deltaq_services.process import HeldInterrupts
 from deltaq_services.recorder.protobuf import recorded_schema
 from deltaq_services.recorder.reader import Recording, UnreadableRecordingError
 from deltaq_services.recorder.writer import RecordingError, RecordingWriter
@@ -256,3 +260,34 @@ def test_other_programs_read_joint_states_and_transforms(recorded: Path, cell: C
         ("/fr/joint_states", "foxglove.JointStates"),
         ("/tf", "foxglove.FrameTransforms"),
     }
+
+
+# What must not be cut in two is not: a signal waits until it is let go.
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_waits_until_it_is_let_go(number):
+    before = signal.getsignal(number)
+    with HeldInterrupts() as held:
+        held.let_go()
+        os.kill(os.getpid(), number)
+        all_of_it = True
+        with pytest.raises(KeyboardInterrupt):
+            held.let_go()
+    assert all_of_it
+    assert signal.getsignal(number) is before
+
+
+def test_in_another_thread_nothing_is_held_and_nothing_fails():
+    before, ended = signal.getsignal(signal.SIGINT), []
+
+    def hold():
+        with HeldInterrupts() as held:
+            held.let_go()
+        ended.append(True)
+
+    thread = threading.Thread(target=hold)
+    thread.start()
+    thread.join(timeout=300)
+    assert ended == [True]
+    assert signal.getsignal(signal.SIGINT) is before

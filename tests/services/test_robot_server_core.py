@@ -1,5 +1,6 @@
 """The Robot Server's core: the last program before the drives."""
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -12,8 +13,9 @@ from deltaq_protocol.brake import brake_cycles
 from deltaq_protocol.guarded import Admission, Supervision
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.phases import MAY_MOVE, TRANSITIONS, Event, next_phase
 from deltaq_services.robot_server.core import RobotServer
-from deltaq_services.robot_server.measurement import Measurement
+from deltaq_services.robot_server.measurement import Measurement, Settling
 
 CELL = load_cell("lab")
 FR = CELL.robots["fr"]
@@ -780,3 +782,74 @@ def test_told_to_end_within_a_pulse_it_undoes_it_before_it_is_at_rest(unprobed):
         total = total + unprobed.q - FR.home
         assert unprobed.ipoc < 10_000
     np.testing.assert_allclose(total, 0.0, atol=1e-12)
+
+
+# Where a robot is once its setpoint rests.
+
+TOLERANCE = np.array([0.5, 0.25])
+HERE = np.zeros(2)
+
+
+def rested(cycles):
+    settling = Settling(TOLERANCE, lag_cycles=3)
+    for _ in range(cycles):
+        settling = settling.sent(moves=False)
+    return settling
+
+
+def test_it_is_at_rest_when_the_drives_have_had_the_time_and_no_cycle_before():
+    assert [rested(cycles).at_rest for cycles in range(6)] == [False] * 4 + [True] * 2
+    assert not rested(9).sent(moves=True).at_rest
+
+
+def test_how_long_it_has_rested_is_counted_no_further_than_it_matters():
+    assert rested(50) == rested(4)
+
+
+def test_two_places_are_near_up_to_the_tolerance_of_each_joint():
+    settling = rested(0)
+    assert settling.is_near(HERE, TOLERANCE)
+    assert settling.is_near(TOLERANCE, HERE)
+    assert not settling.is_near(HERE, np.array([0.0, 0.26]))
+    assert not settling.is_near(np.array([-0.51, 0.0]), HERE)
+
+
+def test_it_goes_on_if_it_leaves_where_it_was_when_its_drives_had_had_the_time():
+    before = rested(3).measured(HERE)
+    assert before.q_settled is None
+    assert not before.goes_on(10 * TOLERANCE)
+    settled = rested(4).measured(HERE).measured(TOLERANCE)
+    assert settled.q_settled is HERE
+    assert not settled.goes_on(TOLERANCE)
+    assert settled.goes_on(1.01 * TOLERANCE)
+    moved = settled.sent(moves=True).measured(HERE)
+    assert moved.q_settled is None
+
+
+# The table of phases.
+
+
+def test_each_phase_and_event_has_at_most_one_row():
+    rows = [(row.phase, row.event) for row in TRANSITIONS]
+    assert len(rows) == len(set(rows))
+
+
+def test_held_is_left_by_reset_only():
+    for event in Event:
+        left = next_phase(Phase.HELD, event) is not Phase.HELD
+        assert left == (event is Event.RESET)
+
+
+def test_a_stop_holds_from_every_phase_that_may_move():
+    assert all(next_phase(phase, Event.STOPPED) is Phase.HELD for phase in MAY_MOVE)
+
+
+def test_every_phase_can_be_reached_from_offline():
+    reached = {Phase.OFFLINE}
+    for _ in Phase:
+        reached |= {next_phase(phase, event) for phase, event in itertools.product(reached, Event)}
+    assert reached == set(Phase)
+
+
+def test_offline_never_moves():
+    assert next_phase(Phase.OFFLINE, Event.ADMITTED) is Phase.OFFLINE
