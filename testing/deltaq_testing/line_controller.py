@@ -7,9 +7,7 @@ from typing import Any
 
 from deltaq_protocol.codec import InvalidMessageError, from_map, line_to_map, to_line
 from deltaq_protocol.messages import Increment, LeaseReply, LeaseRequest, Message, RobotState
-from deltaq_protocol.quoting import shown
-from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.hli.line_requests import REQUESTS
+from deltaq_services.hli.line_requests import request_type
 from deltaq_testing.controller_process import ControllerProcess
 from deltaq_testing.faults.actions import Misbehaviour
 from deltaq_testing.faults.controller import increment_of, misbehaved
@@ -79,11 +77,7 @@ class LineController:
         return True
 
     def _pass_on(self, data: dict[str, Any]) -> None:
-        kind = data.get("type")
-        message_type = REQUESTS.get(kind) if isinstance(kind, str) else None
-        if message_type is None:
-            text = f"type: must be one of {', '.join(REQUESTS)}, got {shown(kind)}"
-            raise InvalidMessageError(text, ReasonCode.MALFORMED, data)
+        message_type = request_type(data)
         if message_type is Increment:
             dq, cycle = data.get("dq"), data.get("cycle")
             errs = self.misbehaviour is not None and isinstance(dq, list) and isinstance(cycle, int)

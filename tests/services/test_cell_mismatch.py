@@ -13,7 +13,16 @@ from small_cell import server_state, small_cell, told, tool_pose
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.identity import content_identity
 from deltaq_protocol.guarded import Health, Supervision
-from deltaq_protocol.messages import Error, Increment, LeaseAction, LeaseRequest, Phase, ResetRequest, Verdict
+from deltaq_protocol.messages import (
+    Error,
+    Increment,
+    LeaseAction,
+    LeaseRequest,
+    Phase,
+    ResetRequest,
+    StopRequest,
+    Verdict,
+)
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.topic import Realm
 from deltaq_services.hli.core import HliCore
@@ -146,7 +155,7 @@ def test_the_hli_hands_nothing_on_to_services_that_have_read_another_cell(servic
     assert status.mismatches == (reason.what,)
     assert status.identity == hli.core.description.identity
     assert status.hli["signs_of_life_of_another_cell"] == 1
-    assert published(hli.core.requests.on_stop(_Client(), 50.0), Realm.GUARDED)
+    assert published(hli.core.requests.on_stop(StopRequest(), _Client(), 50.0), Realm.GUARDED)
 
 
 def test_once_it_is_put_right_the_hli_hands_on_again() -> None:

@@ -31,6 +31,7 @@ from deltaq_protocol.messages import (
     Proximity,
     ResetRequest,
     RobotState,
+    StopRequest,
     Verdict,
 )
 from deltaq_protocol.reasons import ReasonCode
@@ -362,7 +363,7 @@ def test_a_verdict_on_a_robot_that_the_cell_does_not_have_is_ignored() -> None:
 
 def test_a_stop_is_commanded_at_once_and_done_when_the_gate_says_so() -> None:
     bench = Bench()
-    command = only(Command, bench.core.requests.on_stop(bench.client, bench.now))
+    command = only(Command, bench.core.requests.on_stop(StopRequest(), bench.client, bench.now))
     assert (command.kind, command.robot, command.reason) == ("stop", None, ReasonCode.OPERATOR_STOP)
     done = bench.core.on_command_reply(CommandReply(id=command.id, accepted=True))
     assert done == [ToSender(bench.client, Done(what="stop"))]
@@ -372,14 +373,14 @@ def test_a_stop_drops_the_increment_that_waits() -> None:
     bench = Bench().ready()
     bench.move(1)
     bench.move(2)
-    outputs = bench.core.requests.on_stop(bench.client, bench.now)
+    outputs = bench.core.requests.on_stop(StopRequest(), bench.client, bench.now)
     assert only(Verdict, outputs).reasons[0].code is ReasonCode.STOPPED
     assert [r.dq for r in sent(Request, bench.state(101))] == [None]
 
 
 def test_a_gate_that_does_not_answer_a_stop_within_half_a_second_is_reported_unreachable() -> None:
     bench = Bench()
-    bench.core.requests.on_stop(bench.client, bench.now)
+    bench.core.requests.on_stop(StopRequest(), bench.client, bench.now)
     assert sent(Error, bench.core.on_tick(bench.now + 0.49)) == []
     assert only(Error, bench.core.on_tick(bench.now + 0.5)).code is ReasonCode.UNREACHABLE
     assert bench.core.counters["commands_unanswered"] == 1
@@ -387,11 +388,13 @@ def test_a_gate_that_does_not_answer_a_stop_within_half_a_second_is_reported_unr
 
 def test_of_stops_that_the_gate_does_not_answer_the_newest_of_each_robot_is_sent_again() -> None:
     bench = Bench()
-    stop = only(Command, bench.core.requests.on_stop(bench.client, bench.now))
+    stop = only(Command, bench.core.requests.on_stop(StopRequest(), bench.client, bench.now))
     for _ in range(MOST_AWAIT_A_STOP - 1):
-        assert bench.core.requests.on_stop(bench.client, bench.now) == []  # they join the one under way
+        assert (
+            bench.core.requests.on_stop(StopRequest(), bench.client, bench.now) == []
+        )  # they join the one under way
     for _ in range(1000):
-        stops = sent(Command, bench.core.requests.on_stop(bench.client, bench.now))
+        stops = sent(Command, bench.core.requests.on_stop(StopRequest(), bench.client, bench.now))
         stop = stops[0] if stops else stop
     assert sent(Command, bench.core.on_tick(bench.now + 0.1)) == [stop]
 
@@ -399,16 +402,20 @@ def test_of_stops_that_the_gate_does_not_answer_the_newest_of_each_robot_is_sent
 def test_everybody_who_stops_is_told_though_the_gate_gets_one_stop() -> None:
     bench = Bench()
     clients = [Client() for _ in range(MOST_AWAIT_A_STOP)]
-    (stop,) = (c for who in clients for c in sent(Command, bench.core.requests.on_stop(who, bench.now)))
+    (stop,) = (
+        c
+        for who in clients
+        for c in sent(Command, bench.core.requests.on_stop(StopRequest(), who, bench.now))
+    )
     told = bench.core.on_command_reply(CommandReply(id=stop.id, accepted=True))
     assert [output.sender for output in told if isinstance(output.message, Done)] == clients
 
 
 def test_a_stop_after_a_reset_joins_none_from_before_it() -> None:
     bench = Bench()
-    bench.core.requests.on_stop(bench.client, bench.now)
+    bench.core.requests.on_stop(StopRequest(), bench.client, bench.now)
     bench.core.requests.on_reset(ResetRequest(robot="fr"), bench.client, bench.now)
-    assert only(Command, bench.core.requests.on_stop(bench.client, bench.now)).kind == "stop"
+    assert only(Command, bench.core.requests.on_stop(StopRequest(), bench.client, bench.now)).kind == "stop"
 
 
 def test_a_flood_of_commands_reaches_the_gate_at_a_rate_and_no_stop_waits_for_it() -> None:
@@ -418,14 +425,14 @@ def test_a_flood_of_commands_reaches_the_gate_at_a_rate_and_no_stop_waits_for_it
     ]
     assert len([c for outputs in asked for c in sent(Command, outputs)]) == MOST_COMMANDS_S
     assert only(Error, asked[-1]).code is ReasonCode.TOO_MANY
-    assert only(Command, bench.core.requests.on_stop(bench.client, bench.now)).kind == "stop"
+    assert only(Command, bench.core.requests.on_stop(StopRequest(), bench.client, bench.now)).kind == "stop"
     later = bench.core.requests.on_reset(ResetRequest(robot="fr"), bench.client, bench.now + 0.02)
     assert only(Command, later).kind == "reset"
 
 
 def test_a_reply_that_comes_after_the_deadline_answers_nobody_twice() -> None:
     bench = Bench()
-    command = only(Command, bench.core.requests.on_stop(bench.client, bench.now))
+    command = only(Command, bench.core.requests.on_stop(StopRequest(), bench.client, bench.now))
     bench.core.on_tick(bench.now + 1.0)
     assert bench.core.on_command_reply(CommandReply(id=command.id, accepted=True)) == []
 
@@ -460,7 +467,7 @@ def test_where_an_operators_token_is_set_reset_and_take_need_it_and_stop_does_no
         )
         assert error.code is ReasonCode.NOT_PERMITTED
         assert bench.lease("take", token=token).code is ReasonCode.NOT_PERMITTED
-    assert only(Command, bench.core.requests.on_stop(bench.client, bench.now)).kind == "stop"
+    assert only(Command, bench.core.requests.on_stop(StopRequest(), bench.client, bench.now)).kind == "stop"
     right = ResetRequest(robot="fr", token="s3cret")
     assert only(Command, bench.core.requests.on_reset(right, bench.client, bench.now)).kind == "reset"
     assert bench.lease("take", token="s3cret").granted
@@ -610,7 +617,7 @@ def test_an_hli_whose_ids_begin_below_those_of_an_earlier_one_goes_on_from_there
 def test_nothing_that_was_asked_before_a_stop_is_sent_again_after_it() -> None:
     bench = Bench()
     first = reset(bench)
-    bench.core.requests.on_stop(bench.client, bench.now)
+    bench.core.requests.on_stop(StopRequest(), bench.client, bench.now)
     told = only(Error, bench.core.on_command_reply(out_of_turn(first, "stale_epoch", 77)))
     assert told.code is ReasonCode.STALE_EPOCH
     assert reset(bench).epoch == 77

@@ -10,7 +10,7 @@ from gate_rig import CELL, Rig
 from small_cell import server_state, small_cell, told, tool_pose
 
 from deltaq_protocol.guarded import Command, CommandReply, Health
-from deltaq_protocol.messages import Error, Phase, ResetRequest
+from deltaq_protocol.messages import Error, Phase, ResetRequest, StopRequest
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.topic import Realm
 from deltaq_services.hli.commands import REPLY_DEADLINE_S
@@ -173,7 +173,7 @@ def test_after_the_gate_began_anew_its_own_word_counts_and_not_whom_the_robots_f
 def test_what_the_gate_does_not_confirm_in_time_is_told_as_that(kind: str, said: str) -> None:
     core, client = _hli(epoch=7), _Client()
     if kind == "stop":
-        asked = core.requests.on_stop(client, 50.0)
+        asked = core.requests.on_stop(StopRequest(), client, 50.0)
     else:
         asked = core.requests.on_reset(ResetRequest(robot="fr"), client, 50.0)
     assert not any(isinstance(output, ToSender) for output in asked)

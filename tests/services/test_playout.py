@@ -24,6 +24,7 @@ from deltaq_protocol.messages import (
     Phase,
     RobotState,
     Sight,
+    StopRequest,
     Verdict,
     ViewTarget,
 )
@@ -453,7 +454,7 @@ def test_what_waits_is_refused_by_name_when_the_robot_is_stopped_held_or_given_b
         bench.turn()
     outputs: list[Output] = []
     if ends == "stop":
-        outputs = bench.core.requests.on_stop(bench.client, bench.time_s)
+        outputs = bench.core.requests.on_stop(StopRequest(), bench.client, bench.time_s)
     elif ends == "release":
         release = LeaseRequest(robot="fr", action=LeaseAction.RELEASE, lease=bench.lease)
         outputs = bench.core.requests.on_lease(release, bench.client, bench.time_s)

@@ -19,25 +19,18 @@ from deltaq_protocol.guarded import CommandReply, Health, ServerState
 from deltaq_protocol.identity import CellIdentity
 from deltaq_protocol.messages import (
     LINE_VERSIONS,
-    ContactRequest,
     Description,
-    DryRunRequest,
     Error,
     Hello,
     Increment,
-    IoRequest,
-    LeaseRequest,
     LeaseStatus,
     Message,
     Proximity,
-    ResetRequest,
     RobotState,
     RobotStatus,
     Status,
-    StopRequest,
     ToolPose,
     Verdict,
-    ViewRequest,
     Welcome,
 )
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
@@ -46,7 +39,7 @@ from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.commands import Deed, Tell, told_to_nobody
 from deltaq_services.hli.increments import Increments
 from deltaq_services.hli.leases import Leases
-from deltaq_services.hli.requests import Requests
+from deltaq_services.hli.requests import BY_MODEL, Requests
 from deltaq_services.hli.robot_link import RobotLink
 from deltaq_services.hli.state import HliState, answered_by_error
 from deltaq_services.outputs import Output, Sender, ToSender, ToTopic
@@ -176,23 +169,11 @@ class HliCore(Part):
                 return self.increments.on_bad_increment(message, sender, time_s)
         if sender is None:
             raise TypeError(f"a {type(message).__name__} has to be answered, and comes from nobody")
-        match message:
-            case Hello():
-                return self.on_hello(message, sender)
-            case StopRequest():
-                return self.requests.on_stop(sender, time_s)
-            case ResetRequest():
-                return self.requests.on_reset(message, sender, time_s)
-            case LeaseRequest():
-                return self.requests.on_lease(message, sender, time_s)
-            case IoRequest():
-                return self.requests.on_io(message, sender, time_s)
-            case DryRunRequest():
-                return self.requests.on_dry_run(message, sender, time_s)
-            case ContactRequest():
-                return self.requests.on_contact(message, sender, time_s)
-            case ViewRequest():
-                return self.requests.on_view(message, sender)
+        if isinstance(message, Hello):
+            return self.on_hello(message, sender)
+        row = BY_MODEL.get(type(message))
+        if row is not None and row.answer is not None:
+            return row.answer(self.requests, message, sender, time_s)
         raise TypeError(
             f"the HLI takes states, verdicts, replies and requests, got a {type(message).__name__}"
         )

@@ -6,23 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from deltaq_protocol.codec import MAX_MESSAGE_BYTES, InvalidMessageError, from_map, line_to_map
-from deltaq_protocol.messages import (
-    LINE_VERSIONS,
-    ChallengeRequest,
-    ContactRequest,
-    DescribeRequest,
-    DryRunRequest,
-    Hello,
-    Increment,
-    IoRequest,
-    LeaseRequest,
-    Message,
-    ResetRequest,
-    StopRequest,
-    ViewRequest,
-)
+from deltaq_protocol.messages import LINE_VERSIONS, Hello, Message
 from deltaq_protocol.quoting import shown
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli.requests import BY_MODEL, BY_TYPE
 
 # Bytes of a TCP connection until they are served as lines, and the stops among them, which wait for no turn.
 
@@ -104,22 +91,6 @@ def _is_stop(line: bytes) -> bool:
         return False
 
 
-REQUESTS: dict[str, type[Message]] = {
-    "challenge": ChallengeRequest,
-    "hello": Hello,
-    "lease": LeaseRequest,
-    "increment": Increment,
-    "io": IoRequest,
-    "stop": StopRequest,
-    "reset": ResetRequest,
-    "dry_run": DryRunRequest,
-    "contact": ContactRequest,
-    "view": ViewRequest,
-    "describe": DescribeRequest,
-}
-"""What a client may say, by the `type` of its line."""
-
-
 def request_type(data: dict[str, Any]) -> type[Message]:
     """What a line asks for.
 
@@ -127,11 +98,11 @@ def request_type(data: dict[str, Any]) -> type[Message]:
         InvalidMessageError: nothing that a client may say.
     """
     kind = data.get("type")
-    message_type = REQUESTS.get(kind) if isinstance(kind, str) else None
-    if message_type is None:
-        text = f"type: must be one of {', '.join(REQUESTS)}, got {shown(kind)}"
+    row = BY_TYPE.get(kind) if isinstance(kind, str) else None
+    if row is None:
+        text = f"type: must be one of {', '.join(BY_TYPE)}, got {shown(kind)}"
         raise InvalidMessageError(text, ReasonCode.MALFORMED, data)
-    return message_type
+    return row.model
 
 
 def hello_of(data: dict[str, Any]) -> Hello:
@@ -154,12 +125,6 @@ def of_client(request: Message, client: Hello, leases: Mapping[str, str]) -> Mes
         client: the hello of the connection.
         leases: token of each robot's lease that was granted to it.
     """
-    fields: dict[str, str | None] = {}
-    match request:
-        case LeaseRequest():
-            fields = {"lease": leases.get(request.robot), "client": client.client, "token": client.token}
-        case IoRequest():
-            fields = {"lease": leases.get(request.robot)}
-        case ContactRequest() | ResetRequest() | ViewRequest():
-            fields = {"token": client.token}
-    return request.model_copy(update=fields)
+    robot = getattr(request, "robot", None)
+    own = {"lease": leases.get(robot or ""), "client": client.client, "token": client.token}
+    return request.model_copy(update={name: own[name] for name in BY_MODEL[type(request)].proven})

@@ -7,7 +7,8 @@ import os
 import threading
 from collections import Counter
 from collections.abc import Callable, Mapping
-from typing import NamedTuple, TypeVar
+from functools import partial
+from typing import Any, NamedTuple
 
 import msgpack
 import zenoh
@@ -19,16 +20,10 @@ from deltaq_protocol.certified.names import IDENTITY
 from deltaq_protocol.codec import MAX_MESSAGE_BYTES, InvalidMessageError, pack, unpack
 from deltaq_protocol.messages import (
     Challenge,
-    ContactRequest,
-    DryRunRequest,
     Error,
     Increment,
-    IoRequest,
-    LeaseRequest,
     Message,
-    ResetRequest,
     StopRequest,
-    ViewRequest,
 )
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.sayings import HLI
@@ -39,6 +34,7 @@ from deltaq_services.guarded_session import service_tls
 from deltaq_services.hli.authentication import Authentication
 from deltaq_services.hli.leases import Sequence
 from deltaq_services.hli.port import Port
+from deltaq_services.hli.requests import ROWS, RequestRow
 from deltaq_services.hli.zenoh_session import FloodWait, LoopSession
 from deltaq_services.outputs import ClientOrigin, Output, Sender
 from deltaq_services.rate_limit import RateLimit
@@ -154,9 +150,6 @@ def _seq_in(payload: bytes) -> int | None:
     return seq if type(seq) is int and seq >= 0 else None
 
 
-RobotRequest = TypeVar("RobotRequest", LeaseRequest, ResetRequest, IoRequest, DryRunRequest, ViewRequest)
-
-
 _ADDRESS = "zenoh"
 """Of all who ask over zenoh: it does not tell where a question comes from."""
 
@@ -205,14 +198,14 @@ class OpenFront:
         session = self._session = LoopSession(self._opened, cell.cell, port.loop)
         self._sieve = Sieve(self._increment_keys, cell.cycle_s, port.authentication, port.now)
         session.subscribe_sifted(topics.INCREMENT, self._sieve.sift, self._on_increment)
-        session.answer(topics.LEASE, self._on_lease, self._goes_first)
-        session.answer(topics.IO, self._on_io, self._goes_first)
-        session.answer(topics.RESET, self._on_reset, self._goes_first)
         session.answer(topics.STOP, self._on_stop)
-        session.answer(topics.DRY_RUN, self._on_dry_run)
-        session.answer(topics.VIEW, self._on_view, self._goes_first)
+        for row in ROWS:
+            if row.topic is not None and row.topic is not topics.STOP:
+                # a proof takes the query past those of strangers
+                session.answer(
+                    row.topic, partial(self._answer, row), self._goes_first if row.proven else None
+                )
         session.answer_at_once(topics.CHALLENGE, self._on_challenge)
-        session.answer(topics.CONTACT, self._on_contact, self._goes_first)
         session.answer(topics.STATUS, self._on_status)
         # clients ask for the description first: when it is there, so is everything above
         session.answer_at_once(topics.DESCRIPTION, self._on_description)
@@ -256,42 +249,6 @@ class OpenFront:
             self._stamps.add(StampStation.INCREMENT_AT_HLI, increment.robot, increment.cycle, increment.seq)
         return port.core.increments.on_increment(increment, None, port.now())
 
-    def _on_lease(self, query: zenoh.Query) -> None:
-        requests = self._port.core.requests
-        self._answer(query, topics.LEASE, LeaseRequest, requests.on_lease)
-
-    def _on_io(self, query: zenoh.Query) -> None:
-        self._answer(query, topics.IO, IoRequest, self._port.core.requests.on_io)
-
-    def _on_reset(self, query: zenoh.Query) -> None:
-        self._answer(query, topics.RESET, ResetRequest, self._port.core.requests.on_reset)
-
-    def _on_dry_run(self, query: zenoh.Query) -> None:
-        self._answer(query, topics.DRY_RUN, DryRunRequest, self._port.core.requests.on_dry_run)
-
-    def _on_view(self, query: zenoh.Query) -> None:
-        self._answer(
-            query,
-            topics.VIEW,
-            ViewRequest,
-            lambda asked, sender, _: self._port.core.requests.on_view(asked, sender),
-        )
-
-    def _on_contact(self, query: zenoh.Query) -> None:
-        port = self._port
-        sender = QuerySender(query, topics.CONTACT.key(self._cell))
-
-        def decide() -> list[Output]:
-            try:
-                request = unpack(ContactRequest, _payload(query))
-                request = request.model_copy(update={"token": self._role_token(query)})
-                sender.origin = self._origin(request.client, request.token, self._identity(query))
-            except InvalidMessageError as error:
-                return port.core.increments.on_malformed(error, sender)
-            return port.core.requests.on_contact(request, sender, port.now())
-
-        port.serve(decide, sender=sender)
-
     def _on_challenge(self, query: zenoh.Query) -> None:
         challenge = self._port.authentication.challenge(self._port.now())
         QuerySender(query, topics.CHALLENGE.key(self._cell)).deliver(Challenge(challenge=challenge.hex()))
@@ -302,7 +259,7 @@ class OpenFront:
         with contextlib.suppress(Exception):
             sender.origin = self._origin(unpack(StopRequest, _payload(query)).client, None)
         on_stop, robots = self._port.core.requests.on_stop, self._increment_keys
-        self._port.serve(lambda: on_stop(sender, self._port.now()), robots, sender)
+        self._port.serve(lambda: on_stop(StopRequest(), sender, self._port.now()), robots, sender)
 
     def _on_status(self, query: zenoh.Query) -> None:
         QuerySender(query, topics.STATUS.key(self._cell)).deliver(self._port.status())
@@ -311,48 +268,45 @@ class OpenFront:
         with query:
             query.reply(topics.DESCRIPTION.key(self._cell), self._description)
 
-    def _answer(
-        self,
-        query: zenoh.Query,
-        topic: Topic,
-        request_type: type[RobotRequest],
-        decide: Callable[[RobotRequest, Sender, float], list[Output]],
-    ) -> None:
-        port = self._port
+    def _answer(self, row: RequestRow, query: zenoh.Query) -> None:
+        """Have the core answer a question that the table of requests has."""
+        port, topic = self._port, row.topic
+        assert topic is not None  # only such rows are asked here
         sender = QuerySender(query, topic.key(self._cell))
 
         def judged() -> list[Output]:
             try:
-                request = unpack(request_type, _payload(query))
-                sender.key = topic.key(self._cell, robot=request.robot)
-                if not query.key_expr.intersects(zenoh.KeyExpr(sender.key)):
-                    raise _wrong_key(request.robot, str(query.key_expr))
-                request = self._proven(request, query)
-                sender.origin = self._origin_of(request, query)
+                request = unpack(row.model, _payload(query))
+                if robot := getattr(request, "robot", ""):
+                    sender.key = topic.key(self._cell, robot=robot)
+                    if not query.key_expr.intersects(zenoh.KeyExpr(sender.key)):
+                        raise _wrong_key(robot, str(query.key_expr))
+                request = self._proven(row, request, query)
+                sender.origin = self._origin_of(row, request, query)
             except InvalidMessageError as error:
                 return port.core.increments.on_malformed(error, sender)
-            return decide(request, sender, port.now())
+            return port.core.take(request, port.now(), sender)
 
         port.serve(judged, sender=sender)
 
-    def _proven(self, request: RobotRequest, query: zenoh.Query) -> RobotRequest:
+    def _proven(self, row: RequestRow, request: Any, query: zenoh.Query) -> Any:
         """A request with what its proof stands for, whatever it says itself."""
         fields: dict[str, str | None] = {}
-        if isinstance(request, LeaseRequest | IoRequest):
+        if "lease" in row.proven:
             fields["lease"] = self._port.authentication.holder(
                 request.robot, str(query.key_expr), _payload(query), _proof(query)
             )
-        if isinstance(request, LeaseRequest | ResetRequest | ViewRequest):
+        if "token" in row.proven:
             fields["token"] = self._role_token(query)
         return request.model_copy(update=fields)
 
-    def _origin_of(self, request: RobotRequest, query: zenoh.Query) -> ClientOrigin:
-        if isinstance(request, IoRequest):
-            lease = self._port.core.leases.held_with(request.robot, request.lease)
-            return self._origin(None, None) if lease is None else lease.origin
-        if isinstance(request, LeaseRequest | ResetRequest | ViewRequest):
+    def _origin_of(self, row: RequestRow, request: Any, query: zenoh.Query) -> ClientOrigin:
+        if "token" in row.proven:
             return self._origin(request.client, request.token, self._identity(query))
-        return self._origin(None, None)
+        lease = None
+        if "lease" in row.proven:
+            lease = self._port.core.leases.held_with(request.robot, request.lease)
+        return self._origin(None, None) if lease is None else lease.origin
 
     def _origin(self, client: str | None, token: str | None, identity: str = "") -> ClientOrigin:
         """Whom a question is from: the name that it says, and the role and the name that it proves."""

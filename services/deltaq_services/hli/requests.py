@@ -1,9 +1,14 @@
-"""What a client can ask for besides increments: a lease, a stop, a reset, digital outputs."""
+"""What a client can ask for besides increments: a lease, a stop, a reset, digital outputs.
+
+`ROWS` is the table of all that a client may say. Another request takes a message, a handler and a row here; lines and
+zenoh are served from the table, and `deltaq_protocol.client_rights` has the least role.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
@@ -11,23 +16,30 @@ from deltaq_protocol.audit import AuditKind, AuditOutcome
 from deltaq_protocol.client_rights import ClientRole, least_role
 from deltaq_protocol.given_token import CLIENT_TOKEN, OPERATOR_TOKEN
 from deltaq_protocol.messages import (
+    ChallengeRequest,
     ContactRequest,
+    DescribeRequest,
     Done,
     DryRunRequest,
     Error,
+    Hello,
+    Increment,
     IoReply,
     IoRequest,
     LeaseAction,
     LeaseReply,
     LeaseRequest,
+    Message,
     Reason,
     ResetRequest,
+    StopRequest,
     ViewReply,
     ViewRequest,
     ViewTarget,
     ViewWish,
 )
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
+from deltaq_protocol.topic import Topic
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.commands import KIND_OF_REQUEST, Deed, deed_of
 from deltaq_services.hli.leases import Lease, Sequence
@@ -159,7 +171,7 @@ class Requests:
         overtaking = Sequence(playout.max_cycles)
         return self._state.leases.grant(request.robot, asking, connection, time_s, overtaking)
 
-    def on_stop(self, sender: Sender, time_s: float) -> list[Output]:
+    def on_stop(self, _: StopRequest, sender: Sender, time_s: float) -> list[Output]:
         """Bring every robot to rest; anyone may."""
         self._state.counters["stops"] += 1
         if (joined := self._state.commands.join_stop(sender)) is not None:
@@ -214,7 +226,7 @@ class Requests:
         what = f"contact {request.contact} {'allowed' if request.allowed else 'forbidden'}"
         return self._state.command(command, sender, Done(what=what), time_s)
 
-    def on_view(self, request: ViewRequest, sender: Sender) -> list[Output]:
+    def on_view(self, request: ViewRequest, sender: Sender, _time_s: float) -> list[Output]:
         """Request another view of a robot's camera; its states publish it for the follower."""
         link = self._state.links.get(request.robot)
         if link is None:
@@ -324,3 +336,45 @@ class Requests:
         kind = KIND_OF_REQUEST[request.type]
         self._state.tell(Deed(kind, AuditOutcome.REFUSED, sender.origin, robot, code, text))
         return [ToSender(sender, error)]
+
+
+@dataclass(frozen=True, slots=True)
+class RequestRow:
+    """One thing that a client may say.
+
+    Attributes:
+        model: its message; a line has its `type`.
+        topic: where it is asked over zenoh; None: elsewhere, or by other means.
+        answer: the handler; None: the front or the core takes it itself.
+        proven: fields that hold what the client has shown, whatever its message says: the robot's `lease`, its `token`,
+            and over lines its name, `client`.
+    """
+
+    model: type[Message]
+    topic: Topic | None = None
+    answer: Callable[[Requests, Any, Sender, float], list[Output]] | None = None
+    proven: tuple[str, ...] = ()
+
+    @property
+    def type(self) -> str:
+        """The `type` of its line."""
+        return str(self.model.model_fields["type"].default)
+
+
+ROWS = (
+    RequestRow(ChallengeRequest),
+    RequestRow(Hello),
+    RequestRow(LeaseRequest, topics.LEASE, Requests.on_lease, ("lease", "client", "token")),
+    RequestRow(Increment),
+    RequestRow(IoRequest, topics.IO, Requests.on_io, ("lease",)),
+    RequestRow(StopRequest, topics.STOP, Requests.on_stop),
+    RequestRow(ResetRequest, topics.RESET, Requests.on_reset, ("token",)),
+    RequestRow(DryRunRequest, topics.DRY_RUN, Requests.on_dry_run),
+    RequestRow(ContactRequest, topics.CONTACT, Requests.on_contact, ("token",)),
+    RequestRow(ViewRequest, topics.VIEW, Requests.on_view, ("token",)),
+    RequestRow(DescribeRequest),
+)
+"""The table."""
+
+BY_TYPE: Mapping[str, RequestRow] = {row.type: row for row in ROWS}
+BY_MODEL: Mapping[type[Message], RequestRow] = {row.model: row for row in ROWS}
