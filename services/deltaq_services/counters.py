@@ -243,8 +243,7 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(
         ROBOT_SERVER,
         "unbound_{message}",
-        "sealed messages of this type that were not made for this process: it has just begun, or they were recorded "
-        "before",
+        "sealed messages of this type made for another process: this one has just begun, or they are recordings",
     ),
     Counted(
         ROBOT_SERVER,

@@ -56,7 +56,7 @@ ATTACK = Sheet(
         "that were `held` or `refused`. `leader's mean` and `peak` are the speeds that the leader's tool reached.",
         "`lab-open` is the lab without the plant's panel, which stops the leader in the lab; in `lab-aside` the",
         "follower also stands elsewhere.",
-        "[The camera follower](../explanation/camera-follower.md#where-it-ends) says what limits the controllers.",
+        "[The camera follower](../explanation/camera-follower.md#limits) says what limits the controllers.",
     ),
     ATTACKS,
 )
