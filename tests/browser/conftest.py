@@ -88,7 +88,7 @@ def opened(chromium, served_cell):
 
     def open_page(prepare=lambda page: None, ready="true"):
         # small, so that a machine without graphics draws it quickly
-        context = chromium.new_context(viewport={"width": 1000, "height": 560})
+        context = chromium.new_context(viewport={"width": 1000, "height": 560}, bypass_csp=True)
         contexts.append(context)
         page = context.new_page()
         page.set_default_timeout(TIMEOUT_MS)
@@ -201,9 +201,9 @@ def alone(chromium, lone_console):
     line = LINE.replace("HELLO", hello.model_dump_json()).replace("FRAME", frame)
 
     def open_page(width=1280, height=720, look="dark", **more):
-        context = chromium.new_context(
-            viewport={"width": width, "height": height}, color_scheme=look, reduced_motion="reduce", **more
-        )
+        # the page's policy lets no text be run as a script, which is how playwright waits
+        more = {"bypass_csp": True, "color_scheme": look, "reduced_motion": "reduce", **more}
+        context = chromium.new_context(viewport={"width": width, "height": height}, **more)
         contexts.append(context)
         page = context.new_page()
         page.set_default_timeout(TIMEOUT_MS)

@@ -71,3 +71,14 @@ def test_a_name_is_asked_for_once_and_kept_in_the_browser(alone):
     assert len(sessions[0]) > 20
     page.evaluate("status => line.show(status)", status(gr=mine()))
     page.wait_for_function("document.querySelector('.who input').disabled")
+
+
+def test_the_page_shows_the_cell_under_its_own_policy_which_lets_no_text_be_run(alone):
+    page = alone(bypass_csp=False)
+    assert page.evaluate("document.fonts.check('14px Roboto')")
+    refused = """new Promise((told) => {
+        addEventListener('securitypolicyviolation', ({effectiveDirective}) => told(effectiveDirective));
+        document.body.append(Object.assign(document.createElement('script'), {textContent: 'window.ran = true'}));
+    })"""
+    assert page.evaluate(refused).startswith("script-src")
+    assert page.evaluate("window.ran") is None

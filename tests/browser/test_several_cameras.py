@@ -50,7 +50,7 @@ def test_the_picture_is_handed_to_the_camera_that_sees_unless_one_was_chosen(
 
     with live_stack(tmp_path, base=base, rewired=with_console) as stack:
         url = stack.cell.hli
-        page = chromium.new_context(viewport={"width": 1280, "height": 720}).new_page()
+        page = chromium.new_context(viewport={"width": 1280, "height": 720}, bypass_csp=True).new_page()
         page.set_default_timeout(TIMEOUT_MS)
         with following(url, "fr"), following(url, "aide"), connect(url, client="test") as cell:
             page.goto(f"http://127.0.0.1:{stack.cell.console_port}")
