@@ -11,7 +11,6 @@ from pathlib import Path
 import nbformat
 import pytest
 from installed import ROOT
-from networks import own_network
 
 FOLDER = ROOT / "examples" / "notebooks"
 BIN = Path(sys.executable).parent
@@ -26,11 +25,11 @@ class Outputs:
     pictures: int
 
 
-def executed(name: str, folder: Path, *before: str) -> Outputs:
-    """Run a notebook as Jupyter does, without an error; `before` begins the command."""
+def executed(name: str, folder: Path) -> Outputs:
+    """Run a notebook as Jupyter does, without an error."""
     result = folder / name
     done = subprocess.run(
-        [*before, str(BIN / "jupyter-execute"), str(FOLDER / name), "--output", str(result)],
+        [str(BIN / "jupyter-execute"), str(FOLDER / name), "--output", str(result)],
         env={**os.environ, "HOME": str(folder), "PATH": f"{BIN}{os.pathsep}{os.environ['PATH']}"},
         capture_output=True,
         text=True,
@@ -71,15 +70,10 @@ def test_the_advisor_shows_options_and_a_way(tmp_path: Path) -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.live
-def test_a_first_motion_is_made_on_a_cell_that_the_notebook_starts_and_ends(tmp_path: Path) -> None:
-    network = own_network()
-    if network is None:
-        pytest.skip("no network namespace is allowed here, and the notebook names the ports of the lab cell")
-    seen = executed("first_motion.ipynb", tmp_path, *network)
-    assert "A1 turned by 9.9" in seen.printed
-    assert "'scaled'" in seen.printed
+def test_a_first_motion_is_made_limited_stopped_and_reset(tmp_path: Path) -> None:
+    seen = executed("first_motion.ipynb", tmp_path)
+    assert "A1 turned by 10.00 deg;" in seen.printed
+    assert "limits kept: True - distances kept: True" in seen.printed
     assert "held: operator_stop" in seen.printed
-    assert "{'fr': 'ready', 'gr': 'ready'}" in seen.printed
-    assert "status 0" in seen.printed
-    assert seen.pictures == 1
+    assert "A1 turned by 40.00 deg in all" in seen.printed
+    assert seen.pictures == 2
