@@ -22,7 +22,7 @@ from deltaq_emulator.servo import Servo
 from deltaq_experiments.options import Options
 from deltaq_experiments.panels import Curve, FigurePanel, Marks
 from deltaq_experiments.report import ExperimentOutcome, Report
-from deltaq_experiments.scene import VIEW_DISTANCE_M, added_delay_cycles, camera_controller, load
+from deltaq_experiments.scene import VIEW_DISTANCE_M, camera_controller, link_cycles, load
 from deltaq_experiments.seen import seen
 from deltaq_experiments.starts import LEAST_CLEARANCE_M, MeasuredView, start_with_error
 from deltaq_experiments.summary import summary
@@ -152,15 +152,12 @@ def record_ungated(
     Args:
         options: with `length_s` known.
         scene: who watches whom; other robots of the cell stand still.
-        camera: moves the robot with the camera; it sees the others as old as the latency wants it.
+        camera: moves the robot with the camera; it sees the others as old as the link makes them.
         leader: moves the leader; it sees the others' newest.
         start: (n,) configuration of each robot that does not start at home [rad or m].
-
-    Raises:
-        DeltaqError: if the loop alone is slower than the latency asked for.
     """
     cycle_s = scene.cycle_s
-    late_camera = HeldBack(camera, added_delay_cycles(scene, options.latency_s))
+    late_camera = HeldBack(camera, link_cycles(scene, options.latency_s))
     robots = scene.cell.robots
     arms = {name: _Arm(robot, cycle_s, start.get(name, robot.home)) for name, robot in robots.items()}
     cycles = max(1, round(options.length_s / cycle_s))
@@ -210,8 +207,7 @@ def run(options: Options) -> ExperimentOutcome:
     """Run the experiment in virtual time, or live over real processes.
 
     Raises:
-        DeltaqError: if the loop alone is slower than the latency asked for, the cell has no such robots, or there
-            is no such target.
+        DeltaqError: if the cell has no such robots, or there is no such target.
     """
     options = options.lasting(DURATION_S)
     scene = load(options)

@@ -18,7 +18,7 @@ from deltaq_deploy.launch.launcher import Launcher
 from deltaq_deploy.launch.services import Role, Service, cell_services, demo_controllers, recorder
 from deltaq_experiments.last_lines import LastLines
 from deltaq_experiments.options import Options
-from deltaq_experiments.scene import added_delay_cycles
+from deltaq_experiments.scene import link_cycles
 from deltaq_experiments.trace import Trace
 from deltaq_experiments.virtual import RunRecord
 from deltaq_protocol import topics
@@ -52,7 +52,7 @@ def run_live(
         records = {name: Path(folder, f"{name}.csv") for name in cell.robots}
         services = [_recorded(service, records) for service in cell_services(description, str(options.cell))]
         leader, follower = demo_controllers(description)
-        view_delay_s = added_delay_cycles(scene, options.latency_s) * scene.cycle_s
+        view_delay_s = link_cycles(scene, options.latency_s) * scene.cycle_s
         follower = _with(follower, "--controller", options.controller, "--view-delay-s", f"{view_delay_s}")
         follower = _with(follower, "--robot", scene.robot_name, "--leader", scene.leader_name)
         follower = _with(follower, "--duration-s", f"{options.length_s}", *following)

@@ -20,8 +20,8 @@ class Options:
         leader: the one that is watched; None for the first other one, if there is one without a camera.
         leader_speed_m_s: speed that the leader's tool is asked for.
         stick_m_s2: largest acceleration that it is asked for.
-        latency_s: from the leader's motion to the camera's, the drives' lag and the loop's own cycles
-            included; the rest is added to the age of the measurement. The controller knows it.
+        latency_s: by how much a link delays the leader's states on their way to the camera's controller, in whole
+            cycles. It comes on top of the loop's own latency: the drives' lag and three cycles.
         duration_s: length of the run; None for the experiment's own.
         seed: one seed is one run.
         settle_s: start-up that rms and max leave out.
@@ -38,7 +38,7 @@ class Options:
     leader: str | None = None
     leader_speed_m_s: float = 0.25
     stick_m_s2: float = STICK_ACCELERATION_M_S2
-    latency_s: float = 0.06
+    latency_s: float = 0.0
     duration_s: float | None = None
     seed: int = 0
     settle_s: float = 5.0

@@ -89,6 +89,9 @@ class Report(BaseModel):
     cycles: int
     cycle_s: float
     latency_s: float
+    """By which a link delayed the leader's states on their way to the camera's controller."""
+    loop_latency_s: float
+    """From the leader's motion to the camera's without that: the drives' lag, and three cycles."""
     leader_speed_m_s: float
     """That its tool was asked for."""
     stick_m_s2: float

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.roles import camera_roles
 from deltaq_controllers.camera.aim import TOOL
 from deltaq_controllers.camera.controllers import FocusController, camera_controller_named
 from deltaq_controllers.camera.scene import Scene
+from deltaq_controllers.surroundings.setpoints import lag_s
 from deltaq_experiments.options import Options
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
@@ -59,18 +62,17 @@ def aim_arguments(options: Options) -> list[str]:
     return ["--aim-offset-m", *(f"{part:g}" for part in options.aim_offset_m)]
 
 
-def added_delay_cycles(scene: Scene, latency_s: float) -> int:
-    """Cycles by which the leader's measurement must be held back so that the whole latency is `latency_s`.
+def loop_latency_s(scene: Scene) -> float:
+    """Time from the leader's motion to the camera's without a delay of the link: drives and cycles [s]."""
+    return LOOP_CYCLES * scene.cycle_s + lag_s(scene.robot.description.servo_lag)
+
+
+def link_cycles(scene: Scene, latency_s: float) -> int:
+    """Cycles by which a link that delays by `latency_s` holds the leader's states back.
 
     Raises:
-        DeltaqError: the loop alone is slower than that.
+        DeltaqError: the latency is no finite time of at least 0 s.
     """
-    lag = scene.robot.description.servo_lag
-    own_s = LOOP_CYCLES * scene.cycle_s + lag.dead_time_s + 2 * lag.damping / lag.natural_frequency_rad_s
-    cycles = round((latency_s - own_s) / scene.cycle_s)
-    if cycles < 0:
-        raise DeltaqError(
-            f"--latency-s {latency_s:g} is below what the loop has by itself, {own_s:.3f} s: the drives' lag and "
-            f"{LOOP_CYCLES} cycles; ask for at least that, or set a shorter servo_lag in the cell"
-        )
-    return cycles
+    if not 0.0 <= latency_s < math.inf:
+        raise DeltaqError(f"latency_s must be a finite time of at least 0 s, got {latency_s}")
+    return round(latency_s / scene.cycle_s)

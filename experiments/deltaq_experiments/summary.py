@@ -9,6 +9,7 @@ import numpy as np
 from deltaq_controllers.camera.scene import Scene
 from deltaq_experiments.options import Options
 from deltaq_experiments.report import Figures
+from deltaq_experiments.scene import loop_latency_s
 from deltaq_experiments.seen import SeenRun
 from deltaq_experiments.trace import time_to_stay_below
 from deltaq_experiments.virtual import RunRecord
@@ -49,6 +50,7 @@ def summary(
         "cycles": len(trace.time_s),
         "cycle_s": scene.cycle_s,
         "latency_s": options.latency_s,
+        "loop_latency_s": loop_latency_s(scene),
         "leader_speed_m_s": options.leader_speed_m_s,
         "stick_m_s2": options.stick_m_s2,
         "leader_reached_m_s": trace.reached_speed(scene.leader, options.settle_s),

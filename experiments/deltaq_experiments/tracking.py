@@ -24,7 +24,7 @@ def run(options: Options) -> ExperimentOutcome:
     """Run the experiment in virtual time, or live over real processes.
 
     Raises:
-        DeltaqError: if the loop alone is slower than the latency asked for, or the cell has no such robots.
+        DeltaqError: if the cell has no such robots.
     """
     options = options.lasting(DURATION_S)
     scene = load(options)

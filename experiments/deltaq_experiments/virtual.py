@@ -10,7 +10,7 @@ import numpy as np
 
 from deltaq_controllers.interface import Controller, HeldBack, RobotView, View
 from deltaq_experiments.options import Options
-from deltaq_experiments.scene import added_delay_cycles, scene_of
+from deltaq_experiments.scene import link_cycles, scene_of
 from deltaq_experiments.trace import Trace
 from deltaq_protocol.arrays import Array
 from deltaq_testing.counts import GateCounts
@@ -45,7 +45,7 @@ def record(
 ) -> RunRecord:
     """Run the whole stack in virtual time.
 
-    The camera controller sees its own robot's newest state and the others' as old as the latency wants it; the
+    The camera controller sees its own robot's newest state and the others' as old as the link makes them; the
     leader sees the newest of all. Robots that neither watch nor are watched stand where they start.
 
     Args:
@@ -54,9 +54,6 @@ def record(
         leader: moves the leader; None lets it stand.
         start: (n,) configuration of each robot that does not start at home [rad or m].
         before_cycle: called with the time since the start, before the controllers are asked.
-
-    Raises:
-        DeltaqError: if the loop alone is slower than the latency asked for.
     """
     with virtual_cell(options.cell, start, options.record) as stack:
         return _run(stack, options, camera, leader, before_cycle)
@@ -71,7 +68,7 @@ def _run(
 ) -> RunRecord:
     scene = scene_of(stack.cell, options)
     cycle_s = scene.cycle_s
-    late_camera = HeldBack(camera, added_delay_cycles(scene, options.latency_s))
+    late_camera = HeldBack(camera, link_cycles(scene, options.latency_s))
     stack.run_until_ready()
     stack.acquire(scene.robot_name, "camera-follower")
     if leader is not None:

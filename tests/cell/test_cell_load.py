@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from deltaq_cell.description import RobotDescription
-from deltaq_cell.description.driver import DRIVES
+from deltaq_cell.description.driver import DRIVES, ServoLag
 from deltaq_cell.find import find_cell
 from deltaq_cell.load import load_cell, load_with_text, parse_cell
 from deltaq_cell.problems import CellError, Problem
@@ -415,7 +415,8 @@ def test_emulated_drives_lag_as_those_of_their_krc_unless_the_cell_says_otherwis
     told["driver"]["krc"] = krc
     described = RobotDescription.model_validate(told)
     assert described.servo_lag == DRIVES[krc]
-    assert fr.servo_lag != DRIVES["krc2"]
+    quick = ServoLag(dead_time_s=0.012, natural_frequency_rad_s=167.0)
+    assert RobotDescription.model_validate(told | {"servo_lag": quick.model_dump()}).servo_lag == quick
     mean_s = (
         2 * {"krc2": 0.012, "krc4": 0.004}[krc]
         + DRIVES[krc].dead_time_s

@@ -38,7 +38,7 @@ def env() -> CameraEnvironment:
         ({"duration_s": float("nan")}, "duration_s must be a finite time above 0 s, got nan"),
         ({"start_error_deg": 181.0}, "start_error_deg must be above 0 and at most 150, got 181.0"),
         ({"leader_speed_m_s": -1.0}, "speed_m_s must be a finite number of m/s, 0 or more, got -1.0"),
-        ({"latency_s": 0.0}, "--latency-s 0 is below what the loop has by itself"),
+        ({"latency_s": -0.1}, "latency_s must be a finite time of at least 0 s, got -0.1"),
     ],
 )
 def test_what_cannot_be_is_refused_when_the_environment_is_made(arguments: dict, said: str) -> None:

@@ -7,7 +7,7 @@ from collections import Counter
 from typing import Any
 
 import pytest
-from gate_rig import CELL, Rig
+from gate_rig import CELL, REST_CYCLES, Rig
 from small_cell import server_state, small_cell, told, tool_pose
 
 from deltaq_cell.cell_model import CellModel
@@ -78,7 +78,7 @@ def test_a_robot_server_holds_its_robot_under_a_gate_that_has_read_another_cell_
     rig.cycle()
     assert server.state.phase is Phase.HELD
     rig.sim = right
-    for _ in range(10):  # until the drives have come to rest for all that the gate knows
+    for _ in range(REST_CYCLES):  # until the drives have come to rest for all that the gate knows
         rig.cycle()
     assert rig.command(kind="reset", robot="fr") is None  # taken, and answered when it shows
     for _ in range(3):

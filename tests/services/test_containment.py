@@ -10,7 +10,7 @@ from random import Random
 
 import numpy as np
 import pytest
-from gate_rig import CELL, SMALL, Rig
+from gate_rig import CELL, REST_CYCLES, SMALL, Rig
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from injected import error_in_call
@@ -133,7 +133,7 @@ def test_a_gate_that_fails_on_one_robot_holds_it_and_drives_the_other_on(rig):
     assert rig.servers["gr"].state.phase is Phase.ENGAGED
     assert rig.sim.counters["internal_errors"] == 1
     rig.sim.gate = sound
-    for _ in range(10):
+    for _ in range(REST_CYCLES):
         rig.cycle()
     rig.command(kind="reset", robot="fr")
     rig.cycle(), rig.cycle()
@@ -200,7 +200,7 @@ def test_wherever_a_cycle_of_a_robot_server_fails_its_robot_brakes_and_can_be_re
     np.testing.assert_array_equal(setpoint.q_cmd, brake.q_cmd)
     rig.q["fr"] = setpoint.q_cmd
     assert (server.state.phase, server.state.reason) == (Phase.HELD, ReasonCode.INTERNAL_ERROR)
-    for _ in range(10):
+    for _ in range(REST_CYCLES):
         rig.cycle()
         assert drive(rig, "gr", (*SMALL, 0.0, 0.0, 0.0)).outcome is Outcome.ADMITTED
     assert not rig.sim.disbelieved

@@ -5,15 +5,14 @@ controllers' own records.
 """
 
 import math
-import re
 
 import numpy as np
 import pytest
+import yaml
 from spread_drives import SpreadServo
 
 from deltaq_cell.description import ServoLag
 from deltaq_cell.drive_lag import modelled_lag
-from deltaq_cell.find import find_cell
 from deltaq_emulator import drives
 from deltaq_protocol.messages import Outcome
 from deltaq_testing.oracle import ClearanceOracle, limit_violations
@@ -129,12 +128,10 @@ def lagging_cell(folder, mean_s, damping, spread_s):
     lag = ServoLag(dead_time_s=dead_s, natural_frequency_rad_s=2 * damping / response_s, damping=damping)
     settled_s = modelled_lag(lag, CYCLE_S).settled_s + spread_s
     presumed_s = CYCLE_S * (2 + math.ceil(settled_s / CYCLE_S))  # as measured, to a cycle, and one more
-    text = find_cell("lab").read_text(encoding="utf-8")
-    emulated = f"dead_time_s: {lag.dead_time_s}, natural_frequency_rad_s: {lag.natural_frequency_rad_s}"
-    text = re.sub(r"servo_lag: {[^}]*}", f"servo_lag: {{{emulated}, damping: {damping}}}", text)
-    gate = f"servo_lag_s: {presumed_s}\n  servo_lag_spread_s: {max(spread_s, 0.012)}"
+    gate = {"servo_lag_s": presumed_s, "servo_lag_spread_s": max(spread_s, 0.012)}
+    robots = {name: {"servo_lag": lag.model_dump()} for name in ("fr", "gr")}
     file = folder / "lagging.yaml"
-    file.write_text(text.replace("servo_lag_s: 0.072", gate), encoding="utf-8")
+    file.write_text(yaml.safe_dump({"extends": "lab", "gate": gate, "robots": robots}), encoding="utf-8")
     return file
 
 

@@ -386,11 +386,11 @@ def test_the_lag_of_each_axis_is_measured_to_a_cycle_of_12_ms(cell, later_s, lag
 
 
 def test_drives_that_lag_more_than_the_gate_presumes_are_refused_with_axis_and_figures():
-    arm = Drives(ServoLag(dead_time_s=0.024, natural_frequency_rad_s=200.0), later_s=0.048)
+    arm = Drives(ServoLag(dead_time_s=0.144, natural_frequency_rad_s=200.0), later_s=0.048)
     probe = arm.trial()
     assert (probe.mode, probe.known, probe.refused, probe.bars) == (Mode.ABSOLUTE, False, True, True)
     assert probe.reason is ReasonCode.DRIVE_LAG
-    said = r"axis a\d lags 114 ms, the gate presumes 72: set gate.servo_lag_s to at least 0\.132"
+    said = r"axis a\d lags 234 ms, the gate presumes 204: set gate.servo_lag_s to at least 0\.252"
     assert re.fullmatch(said, probe.detail)
     assert not np.any(probe.added_to(np.zeros(9)))
 
@@ -403,7 +403,8 @@ def test_drives_that_are_not_done_within_a_window_are_not_driven():
 
 @pytest.mark.parametrize(("decimals", "jitter"), [(3, 0.0), (4, 8.0)])
 def test_a_lag_that_decimals_or_noise_hide_is_not_told_and_refuses_nobody(decimals, jitter):
-    probe = Drives(SLOW, decimals=decimals, jitter=jitter).trial(2 * TRIAL + PAUSE)
+    slow = SLOW.model_copy(update={"dead_time_s": 0.1})  # 231 ms, where the gate presumes 204
+    probe = Drives(slow, decimals=decimals, jitter=jitter).trial(2 * TRIAL + PAUSE)
     assert set(probe.lags) == {None}
     assert probe.known
 

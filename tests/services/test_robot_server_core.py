@@ -604,13 +604,13 @@ def test_an_axis_that_lags_too_much_in_motion_holds_the_robot_until_a_new_sessio
     for count in range(1, 120):
         rig.cycle(rig.admission(min(count, 20) * 0.1 * a1))
         sent.append(rig.q)
-        rig.q = sent[-10]  # 120 ms, where the gate presumes 72
+        rig.q = sent[-19]  # 228 ms, where the gate presumes 204
         if rig.server.state.phase is Phase.HELD:
             break
     state = rig.server.state
     assert (state.phase, state.reason) == (Phase.HELD, ReasonCode.DRIVE_LAG)
     assert state.lag_s[0] > CELL.gate.servo_lag_s
-    assert "the gate presumes 72: set gate.servo_lag_s to at least 0.1" in rig.server.detail
+    assert "the gate presumes 204: set gate.servo_lag_s to at least 0.2" in rig.server.detail
     while any(rig.server.state.dq):
         rig.cycle()
     rig.resets += 1

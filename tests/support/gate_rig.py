@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from deltaq_cell.cell_model import CellModel
 from deltaq_protocol.guarded import Admission, Command, CommandReply, Request, Supervision
 from deltaq_protocol.messages import Verdict
@@ -10,6 +12,9 @@ from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.sim.core import Sim
 
 CELL = CellModel.load("lab")
+REST_CYCLES = math.ceil(CELL.description.gate.servo_lag_s / CELL.description.cycle_s) + 4
+"""Cycles until a robot that brakes from small increments is at rest for all that the gate knows."""
+
 SMALL = (1e-5, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 

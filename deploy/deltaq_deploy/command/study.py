@@ -46,7 +46,9 @@ def experiment(
     stick_m_s2: Annotated[
         float, typer.Option(min=0.1, help="Largest acceleration that the leader's tool is asked for.")
     ] = 2.0,
-    latency_s: Annotated[float, typer.Option(min=0.0, help="Time from command to motion.")] = 0.06,
+    latency_s: Annotated[
+        float, typer.Option(min=0.0, help="Delay of the leader's states, on top of drives and cycles.")
+    ] = 0.0,
     duration_s: Annotated[
         float | None,
         typer.Option(

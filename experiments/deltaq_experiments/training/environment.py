@@ -12,7 +12,7 @@ from gymnasium import spaces
 
 from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_controllers.limits import IncrementLimits
-from deltaq_experiments.scene import added_delay_cycles, scene_of
+from deltaq_experiments.scene import link_cycles, scene_of
 from deltaq_experiments.starts import start_with_error
 from deltaq_experiments.training.episode import Episode, Observation
 from deltaq_experiments.training.observation import robot_space
@@ -32,7 +32,7 @@ class CameraEnvironment(gymnasium.Env[Observation, Array]):
 
     An observation is what a controller sees: of its `own` robot and of the `leader` the configuration `q`, the
     setpoint `q_cmd` and the increment `dq` that led there, each (n,) [rad or m]. What it sees of the leader is as old
-    as the latency wants it. An action (n,) in [-1, 1] is an increment, as a share of the largest one. It is clipped to
+    as the link makes it. An action (n,) in [-1, 1] is an increment, as a share of the largest one. It is clipped to
     what speed, acceleration and room to brake allow, as the project's own controllers do; whether a body is too
     near is for the gate to say. The reward is `-angle_rad - |distance_m|`, the errors of the view after the step.
 
@@ -45,13 +45,13 @@ class CameraEnvironment(gymnasium.Env[Observation, Array]):
     Args:
         cell: name or file of a cell in which a robot with a camera can watch the tool of another one.
         leader_speed_m_s: largest speed of the leader's tool [m/s].
-        latency_s: from the leader's motion to the camera's, the drives' lag and the loop's cycles included [s].
+        latency_s: by how much a link delays what is seen of the leader, on top of the drives' lag and the loop's
+            cycles [s].
         duration_s: length of an episode [s].
         start_error_deg: largest view angle error at the start; it is at least half of that [deg].
 
     Raises:
-        DeltaqError: the cell has no such robots, the loop alone takes longer than the latency, or a value is out of
-            its bounds.
+        DeltaqError: the cell has no such robots, or a value is out of its bounds.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}
@@ -60,7 +60,7 @@ class CameraEnvironment(gymnasium.Env[Observation, Array]):
         self,
         cell: str | Path = "lab",
         leader_speed_m_s: float = 0.25,
-        latency_s: float = 0.06,
+        latency_s: float = 0.0,
         duration_s: float = 10.0,
         start_error_deg: float = 60.0,
     ) -> None:
@@ -74,7 +74,7 @@ class CameraEnvironment(gymnasium.Env[Observation, Array]):
         self._scene = scene_of(self._loaded.model)
         cycle_s = self._scene.cycle_s
         self._cycles = max(1, round(duration_s / cycle_s))
-        self._delay_cycles = added_delay_cycles(self._scene, latency_s)
+        self._delay_cycles = link_cycles(self._scene, latency_s)
         self._start_error_deg, self._leader_speed_m_s = start_error_deg, leader_speed_m_s
         self._leader(seed=0)  # refuses a wrong speed now rather than at the first reset
         self._episode: Episode | None = None

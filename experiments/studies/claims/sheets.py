@@ -34,7 +34,7 @@ CAMERA = Sheet(
     Path("docs/notes/camera-figures.md"),
     "The paper's figures, and ours",
     (
-        "The runs are in virtual time, with a cycle of 12 ms, a latency of 60 ms and, unless the command says",
+        "The runs are in virtual time, with a cycle of 12 ms, drives that lag 120 ms and, unless the command says",
         "otherwise, a leader that is asked for 0.25 m/s. Each figure is the largest of its run after `--settle-s`",
         "(5 s if not given). `leader's mean` and `peak` are the speeds that its tool reached. The pictures are of",
         "seed 0. [The camera follower](../explanation/camera-follower.md) explains the controllers; their figures",
@@ -48,7 +48,7 @@ ATTACK = Sheet(
     Path("docs/notes/attack-figures.md"),
     "The camera follower under attack",
     (
-        "The runs are in virtual time, with a cycle of 12 ms, a latency of 60 ms and, unless the command says",
+        "The runs are in virtual time, with a cycle of 12 ms, drives that lag 120 ms and, unless the command says",
         "otherwise, a leader that is asked for 0.25 m/s. The seed determines where both robots stand at the",
         "beginning, and from where the leader comes after each attack. Figures begin after `--settle-s`.",
         "`attacker free` is the fraction of the attacking cycles in which the leader's tool moved as requested, and",

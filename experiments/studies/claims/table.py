@@ -69,8 +69,10 @@ CLAIMS = (
         _APPROACH,
         "fig-8-qp",
     ),
-    _tracking("Fig. 9: ±1°, ±2 cm", 1.0, 0.021, "fig-9-paper"),
+    _tracking("Fig. 9: ±1°, ±2 cm", 1.0, 0.021, leader_speed_m_s=0.15),
+    _tracking("the same at 0.25 m/s", 1.0, 0.021, "fig-9-paper"),
     _tracking("the paper's future work (VII-B): 0.1°, 0.3 cm", 0.1, 0.003, controller="predictive"),
+    _tracking("asked for 0.5 m/s: 0.1°, 0.3 cm", 0.1, 0.003, controller="predictive", leader_speed_m_s=0.5),
     _tracking("0.1°, 0.3 cm", 0.1, 0.003, "fig-9-qp", controller="qp"),
     Claim(
         "tracking",
