@@ -58,7 +58,8 @@ def main(arguments: Sequence[str] | None = None, sheets: Sequence[Sheet] = SHEET
     chosen = [sheet for sheet in sheets if options.page in (None, sheet.name)]
     if not any(options.only in claim.command for sheet in chosen for claim in sheet.claims):
         parser.error(f"--only {options.only!r}: no claim has this in its command")
-    (options.root / PICTURES).mkdir(parents=True, exist_ok=True)
+    for folder in (PICTURES, *(sheet.file.parent for sheet in chosen)):
+        (options.root / folder).mkdir(parents=True, exist_ok=True)
     kept = KeptReports(options.reports)
     passed = [_write(sheet, kept, options.root, options.seeds, options.only) for sheet in chosen]
     return int(not all(passed))
