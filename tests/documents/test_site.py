@@ -71,6 +71,7 @@ def test_the_python_api_is_there_with_its_docstrings_and_can_be_searched_for(sit
     found = json.loads((site / "search" / "search_index.json").read_text(encoding="utf-8"))["docs"]
     texts = {entry["location"]: entry["text"] for entry in found}
     for module, name in [
+        ("deltaq", "Robot.move_to"),
         ("deltaq_protocol.client", "connect"),
         ("deltaq_protocol.blocking", "connect"),
         ("deltaq_protocol.in_flight", "InFlight.ahead"),
