@@ -28,7 +28,7 @@ def compile_ahead() -> None:
     # what is heavy is imported only where something is left to do
     from deltaq_cell.cell_model import CellModel
     from deltaq_cell.compiled_proximity import CompiledProximity
-    from deltaq_cell.compiling import compiling_shown
+    from deltaq_cell.machine_code import compiling_shown
 
     with compiling_shown("the gate's kernel", FUNCTIONS):
         CompiledProximity(CellModel.load("lab"))

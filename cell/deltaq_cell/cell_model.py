@@ -7,20 +7,20 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
 import pinocchio as pin
 
-from deltaq_cell.description import CellDescription
+from deltaq_cell.description import CellDescription, RobotDescription
 from deltaq_cell.hull import Corners
 from deltaq_cell.identity import cell_identity
 from deltaq_cell.load import load_with_text
 from deltaq_cell.robot import RobotModel
-from deltaq_cell.structure import structure_geometry
-from deltaq_cell.summary import robot_summary
-from deltaq_cell.told_kinematics import told_kinematics
+from deltaq_cell.robot_bodies import structure_geometry
 from deltaq_protocol import messages
 from deltaq_protocol.codec import MAX_ZENOH_MESSAGE_BYTES, pack, to_line
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.identity import CellIdentity
+from deltaq_protocol.messages import CarriedFrame, JointPlacement, RobotKinematics, Row
 
 MOST_TOLD_BYTES = MAX_ZENOH_MESSAGE_BYTES - 64 * 1024
 """Longest description that can be sent to clients, as msgpack and as a line of JSON."""
@@ -120,3 +120,56 @@ class CellModel:
                 f"{MOST_TOLD_BYTES}; the longest part is {longest} with {parts[longest]}"
             )
         return message
+
+
+def robot_summary(description: RobotDescription, cycle_s: float) -> messages.RobotSummary:
+    """Names, units, limits and home of one robot in joint order; `max_increment` is the largest step of one cycle."""
+    return messages.RobotSummary(
+        joints=description.joint_names,
+        units=description.units,
+        lower=tuple(description.lower.tolist()),
+        upper=tuple(description.upper.tolist()),
+        max_velocity=tuple(description.max_velocity.tolist()),
+        max_acceleration=tuple(description.max_acceleration.tolist()),
+        max_increment=tuple((description.max_velocity * cycle_s).tolist()),
+        home=tuple(description.home.tolist()),
+    )
+
+
+# A robot's kinematics as a client is told them: numbers only, so that it needs neither YAML nor URDF.
+
+
+def told_kinematics(robot: RobotModel) -> RobotKinematics:
+    """Where each joint and each carried frame (`tool`, `camera`, hands) is placed, in joint order."""
+    names = (*robot.hands, "tool", *(("camera",) if robot.description.camera is not None else ()))
+    frames = {name: robot.model.frames[robot.frame_of(name)] for name in names}
+    return RobotKinematics(
+        joints=tuple(_joint(robot, index) for index in range(robot.n)),
+        frames={
+            name: CarriedFrame(joint=int(frame.parentJoint) - 1, T_joint_frame=_rows(frame.placement))
+            for name, frame in frames.items()
+        },
+    )
+
+
+def joint_axis(robot: RobotModel, index: int) -> tuple[float, float, float]:
+    """The axis of a joint in its own frame: a unit vector, along which or about which it moves."""
+    model = robot.model
+    # at any configuration: in its own frame a joint's axis stands still
+    J = pin.computeJointJacobian(model, model.createData(), pin.neutral(model), index + 1)
+    motion = np.reshape(J, (6, -1))[:, index]  # of a robot with one joint pinocchio gives a vector
+    x, y, z = np.asarray(motion[3:] if robot.revolute[index] else motion[:3]).round(15).tolist()
+    return x, y, z
+
+
+def _joint(robot: RobotModel, index: int) -> JointPlacement:
+    return JointPlacement(
+        parent=int(robot.model.parents[index + 1]) - 1,
+        T_parent_joint=_rows(robot.model.jointPlacements[index + 1]),
+        axis=joint_axis(robot, index),
+    )
+
+
+def _rows(pose: pin.SE3) -> tuple[Row, Row, Row, Row]:
+    first, second, third, last = (tuple(row) for row in pose.homogeneous.tolist())
+    return first, second, third, last

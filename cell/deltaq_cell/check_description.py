@@ -18,8 +18,8 @@ from deltaq_cell.open_realm import (
     off_loopback,
     zenoh_in_clear,
 )
-from deltaq_cell.placed_problems import FieldPath, PlacedProblems
 from deltaq_cell.problems import Problem
+from deltaq_cell.yaml_tree import FieldPath, PlacedProblems
 from deltaq_protocol.endpoint import Endpoint
 
 KRC_CYCLES_S = {"krc2": (0.012,), "krc4": (0.004, 0.012)}

@@ -1,33 +1,64 @@
-"""`deltaq_cell.proximity` in machine code: the same questions and answers, several times quicker.
+"""Looks at many pairs of a cell's bodies, and certificates of tubes, in machine code.
 
 Where bodies are, how far they travel and which of them have room is the kernel's (`deltaq_cell.kernel`); coal measures
-the tightest pair that is told. `ProximityEngine` says the same in plain words, and tests hold one against the other:
-what they show differs by no more than coal's iterations are off, 2e-6 m.
+the tightest pair that is told.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from deltaq_cell.anatomy import anatomy_of, findings, placed_at_first
 from deltaq_cell.cell_model import CellModel
-from deltaq_cell.decisions import OVERLAP_M, Decisions, KernelArrays
-from deltaq_cell.division import Division
-from deltaq_cell.group import Group, Nearest
+from deltaq_cell.decisions import OVERLAP_M, Decisions, Division, KernelArrays, Meter
+from deltaq_cell.group import Group, Nearest, PairedGroups, pairs_alone, part_of
 from deltaq_cell.kernel.arrays import Pairs
-from deltaq_cell.kernel.certify import certify
+from deltaq_cell.kernel.decision import certify
 from deltaq_cell.kernel.gap import ROUNDING_M
 from deltaq_cell.kernel.look import NONE, look, separate_pairs
 from deltaq_cell.kernel.pieces import Tube, stack_of
 from deltaq_cell.kernel.place import place, spread
 from deltaq_cell.kernel.span import off_hull, span_around, widths
-from deltaq_cell.meter import Meter
-from deltaq_cell.paired_groups import PairedGroups, pairs_alone, part_of
-from deltaq_cell.proximity import DistanceQuery, ProximityEngine, within_box
+from deltaq_cell.proximity import ProximityEngine
 from deltaq_cell.reach import reach_of
 from deltaq_protocol.arrays import Array
+
+
+@dataclass(frozen=True)
+class DistanceQuery:
+    """Result of a check of groups.
+
+    Attributes:
+        failing: groups that have not been shown to keep the required distance.
+        too_near: whether a pair of them does not keep it even at the middle of the span.
+        tightest: the pair with the least swept distance beyond its stop distance; None if all are left out.
+        stop_distance_m: of that pair [m].
+    """
+
+    failing: list[Group]
+    too_near: bool
+    tightest: Nearest | None
+    stop_distance_m: float
+
+
+@dataclass(frozen=True)
+class Approach:
+    """Two near bodies, and how a robot's joints bring them nearer.
+
+    Attributes:
+        pair: their names.
+        distance_m: their distance.
+        stop_distance_m: least distance that they have to keep.
+        per_joint: (n,) loss of distance per unit of each joint of the robot [m/rad or m/m].
+    """
+
+    pair: tuple[str, str]
+    distance_m: float
+    stop_distance_m: float
+    per_joint: Array
 
 
 class CompiledProximity(ProximityEngine):
@@ -70,7 +101,7 @@ class CompiledProximity(ProximityEngine):
         self._every = np.ones(len(bodies), dtype=bool)
         self._stack = stack_of(self.model.nv, len(bodies), len(pairs))
         self._told: dict[str, bytes] = {}
-        self._greatest: dict[str, float] = {}
+        self._travel: dict[str, float] = {}
         self._moved: set[str] = set()
         self._is_measured = False
         for name, (joints, _) in self._ranges.items():
@@ -105,17 +136,30 @@ class CompiledProximity(ProximityEngine):
     def place(
         self, robot: str, q: Array, half: Array, offsets: Array | None = None, deviation: Array | None = None
     ) -> float:
-        """Place a robot in a span, as `ProximityEngine.place` has it; for all groups always."""
-        span = within_box(q, half, offsets, deviation)
+        """Place a robot in a span of joint space, which the kernel knows of at once, and coal when it measures.
+
+        Args:
+            robot: its name.
+            q: (n,) middle of the box around the span [rad or m].
+            half: (n,) its half-widths, not negative.
+            offsets: (vertices, n) from `q` of the span's vertices; None if the robot may be anywhere in the box.
+            deviation: (n,) how far the span is wide.
+
+        Returns:
+            The greatest travel of any of its bodies [m].
+        """
+        if offsets is None or deviation is None:
+            offsets, deviation = np.zeros((1, q.size)), half
+        span = q.copy(), half.copy(), offsets.copy(), deviation.copy()
         told = b"".join(array.tobytes() for array in span)
         if self._told.get(robot) == told:
-            return self._greatest[robot]
+            return self._travel[robot]
         self._told[robot] = told
         middle, half, offsets, deviation = self._spans[robot] = span
         joints, bodies = self._ranges[robot]
         self._q[joints[0] : joints[1]] = q
         cell, where = self._anatomy, self._where
-        greatest = self._greatest[robot] = place(cell, where, joints, bodies, self._every, middle, half)
+        greatest = self._travel[robot] = place(cell, where, joints, bodies, self._every, middle, half)
         spread(cell, where, joints, bodies, offsets, len(offsets), deviation)
         self._moved.add(robot)
         self._is_measured = False
@@ -124,7 +168,7 @@ class CompiledProximity(ProximityEngine):
     def least(self, group: Group) -> float:
         """Least swept distance of a group [m] where the robots have been placed, as coal measures it."""
         for name in sorted(self._moved):
-            super().place(name, *self._spans[name])
+            super().place(name, *self._spans[name][:2])
         self._moved.clear()
         return super().least(group)
 
@@ -156,6 +200,35 @@ class CompiledProximity(ProximityEngine):
             self._found.open[kept] = False
             open_ = np.setdiff1d(open_, kept)
         return DistanceQuery(part_of(listed, open_) if open_.size else [], too_near, *told)
+
+    def approaches(self, robot: str, groups: Sequence[Group], distance_m: float) -> list[Approach]:
+        """Pairs nearer than `distance_m` where the robots are placed, each as one point.
+
+        Args:
+            robot: name of the robot whose joints count.
+            groups: one of this object's own lists for that robot, not empty.
+            distance_m: beyond it pairs are left out.
+        """
+        room_m = distance_m - min(group.stop_distance_m for group in groups)
+        near = [
+            (group, item)
+            for group in self.measured(self.look(groups, room_m).failing)
+            for item in group.measured().values()
+            if item.distance_m < distance_m
+        ]
+        begin, end = self._ranges[robot][0]
+        J = self._where.columns[begin:end].T
+        found = []
+        for group, item in near:
+            first, second = item.points_m
+            along = (second - first) / max(item.distance_m, 1e-9)
+            closing = np.zeros(J.shape[1])
+            for name, point, side in ((item.pair[0], first, 1.0), (item.pair[1], second, -1.0)):
+                if (moved_by := self._moved_by[robot].get(name)) is not None:
+                    velocity = J[:3] + np.cross(J[3:].T, point).T
+                    closing += side * (along @ velocity) * moved_by
+            found.append(Approach(item.pair, item.distance_m, group.stop_distance_m, closing))
+        return found
 
     def whole_tube(
         self, robot: str, points: Array, lag: int, first: int, last: int, tolerance: Array, spread: float
@@ -290,8 +363,3 @@ class CompiledProximity(ProximityEngine):
         found.at_most_m[index] = nearest.distance_m + ROUNDING_M
         separate_pairs(self._anatomy, self._where, listed.pairs, np.array([index]), room_m, found)
         return not found.open[index]
-
-    def _jacobian(self, robot: str) -> Array:
-        first, last = self._ranges[robot][0]
-        J: Array = self._where.columns[first:last].T
-        return J

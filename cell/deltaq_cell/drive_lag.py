@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deltaq_cell.description.driver import ServoLag
+from deltaq_cell.description.robot import ServoLag
 from deltaq_protocol.arrays import Array
 
 REMAINDER = 0.05

@@ -11,7 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from xml.parsers import expat
 
-from deltaq_cell.packages import SCHEMES, find_file, is_file
+from deltaq_cell.find import SCHEMES, find_file, is_file
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.xml_text import xml_text
 
@@ -120,7 +120,7 @@ def load_urdf(model: str | Path) -> Urdf:
 
     Args:
         model: name of a shipped model (`kr16`), path of a URDF file, or `package://` and a path within a package
-            (see `deltaq_cell.packages.find_file`).
+            (see `deltaq_cell.find.find_file`).
 
     Raises:
         RobotModelError: no such model or file, or the file cannot be read.

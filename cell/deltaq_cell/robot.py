@@ -9,14 +9,20 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from deltaq_cell.carried_frames import CarriedFrames, PointName
 from deltaq_cell.description import RobotDescription
 from deltaq_cell.hull import Corners
 from deltaq_cell.models import RobotModelError, collision_names, load_urdf, urdf_from_text
 from deltaq_cell.never_checked import Pair, Why, never_checked
-from deltaq_cell.plausible import check_rotations, check_sizes, reach
-from deltaq_cell.robot_bodies import collision_geometry, hulls_of
-from deltaq_cell.structure import placement
+from deltaq_cell.robot_bodies import (
+    CarriedFrames,
+    PointName,
+    check_rotations,
+    check_sizes,
+    collision_geometry,
+    hulls_of,
+    placement,
+    reach,
+)
 from deltaq_cell.urdf_parsing import MissingMeshError, parse_geometry, parse_model
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import ToolPose

@@ -14,8 +14,8 @@ from xml.parsers import expat
 import numpy as np
 import pinocchio as pin
 
+from deltaq_cell.find import find_file
 from deltaq_cell.models import RobotModelError, Urdf, collision_names, nearest_name
-from deltaq_cell.packages import find_file
 
 UNLIMITED = 1e9
 """Limits of a joint that has none of its own [rad, rad/s]; the cell's description has others."""

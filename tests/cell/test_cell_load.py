@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from deltaq_cell.description import RobotDescription
-from deltaq_cell.description.driver import DRIVES, ServoLag
+from deltaq_cell.description.robot import DRIVES, ServoLag
 from deltaq_cell.find import find_cell
 from deltaq_cell.load import load_cell, load_with_text, parse_cell
 from deltaq_cell.problems import CellError, Problem
@@ -169,15 +169,17 @@ NO_CELL = [
     (MINI.replace("  fr:\n", "  fr:\n    base: {}\n    base: {}\n"), 6, "the key 'base' is there twice"),
     ("cell: [a, b\ncycle_s: 1\n", 2, "not YAML: "),
     ("cell: a\n\tcycle_s: 1\n", 2, "not YAML: "),
-    ("cell: *nowhere\n", 1, "not YAML: "),
-    ("cell: a\n---\ncell: b\n", 2, "not YAML: "),
+    ("cell: *nowhere\n", 1, "not YAML: found undefined alias 'nowhere'"),
+    ("cell: a\n---\ncell: b\n", 2, "not YAML: expected a single document"),
     ("cell: a\x00\n", 0, "not YAML: "),
     ("cell: a\n1: b\n", 2, "the key 1 must be text"),
     ("a: " + "[" * 30 + "]" * 30, 1, "nested deeper than 24"),
     ("a: " + "[" * 400 + "]" * 400, 1, "nested deeper than 24"),
     ("[" * (1 << 19), 1, "nested deeper than 24"),
     ("cell: a\n? [b]\n: c\n", 2, "not YAML: "),
-    ("cell: &a\n  b: *a\n", 2, "would contain itself"),
+    ("cell: &a\n  b: *a\n", 2, "the value of alias 'a' would contain itself"),
+    ("cell: &a b\ncycle_s: &a 1\n", 2, "the anchor 'a' is there twice"),
+    ("- " * (1 << 18), 1, "nested deeper than 24"),
     ("cell: !!binary aaaa\n", 1, "means nothing here"),
     ("cell: a\n<<: 3\n", 2, "'<<' merges a mapping"),
     ("a: &a [1]\n" + "".join(f"b{i}: &b{i} [{', '.join([f'*b{i - 1}' if i else '*a'] * 10)}]\n" for i in range(9)),
@@ -362,7 +364,7 @@ def test_loading_a_cell_loads_no_kinematics_and_nothing_of_its_deployment() -> N
         "import sys\n"
         "from deltaq_cell.load import load_cell\n"
         "from deltaq_cell.models import load_urdf\n"
-        "from deltaq_cell.summary import robot_summary\n"
+        "from deltaq_cell.cell_model import robot_summary\n"
         "cell = load_cell('lab-4ms')\n"
         "assert cell.cycle_s == 0.004 and load_urdf(cell.robots['fr'].model).text\n"
         "assert robot_summary(cell.robots['fr'], cell.cycle_s).units[0] == 'rad'\n"

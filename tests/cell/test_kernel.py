@@ -9,13 +9,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from own_robot import write_cell, write_package
+from reference_proximity import ReferenceProximity
 from spans import draw_span
 
 from deltaq_cell import compiled_proximity
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_cell.kernel import look as kernel
-from deltaq_cell.proximity import ProximityEngine
 
 TOLERANCE_M = 2e-6
 """What the kernel's search and coal's may differ by."""
@@ -34,7 +34,7 @@ def cell(request, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def reference(cell):
-    return ProximityEngine(cell)
+    return ReferenceProximity(cell)
 
 
 @pytest.fixture(scope="module")

@@ -9,11 +9,10 @@ from hypothesis import strategies as st
 from test_kernel_gap import coal_m, measured, two_bodies
 from uncompiled import uncompiled
 
-from deltaq_cell.anatomy import anatomy_of, placed_at_first
-from deltaq_cell.extents import Extents
-from deltaq_cell.oriented_box import oriented_box
+from deltaq_cell.anatomy import anatomy_of, oriented_box, placed_at_first
+from deltaq_cell.bodies import Extents
 
-apart = uncompiled("boxes").apart
+apart = uncompiled("look").apart
 
 
 def told_apart(objects):

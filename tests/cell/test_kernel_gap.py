@@ -14,7 +14,7 @@ from deltaq_cell.kernel.arrays import PlacedBody
 from deltaq_cell.kernel.gap import ROUNDING_M
 
 body_at, farthest, gap = (getattr(uncompiled("gap"), name) for name in ("body_at", "farthest", "gap"))
-towards_origin = uncompiled("simplex").towards_origin
+towards_origin = uncompiled("gap").towards_origin
 KINDS = ("box", "sphere", "capsule", "cylinder", "hull")
 
 

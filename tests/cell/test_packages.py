@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from deltaq_cell.find import find_file
 from deltaq_cell.models import RobotModelError, load_urdf
-from deltaq_cell.packages import find_file
 
 
 def put(*parts: str | Path) -> Path:

@@ -10,9 +10,9 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from reference_proximity import Separation
 
-from deltaq_cell.extents import Extents
-from deltaq_cell.separation import Separation
+from deltaq_cell.bodies import Extents
 
 ROBOTS = {"one": (0, 1, 2, 3, 4), "other": (5, 6)}
 PRISMATIC = (0, 3, 6)

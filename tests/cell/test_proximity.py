@@ -3,12 +3,11 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+from reference_proximity import BroadPhase, ReferenceProximity
 
-from deltaq_cell.broad_phase import BroadPhase
+from deltaq_cell.bodies import Extents
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.compiled_proximity import CompiledProximity
-from deltaq_cell.extents import Extents
-from deltaq_cell.proximity import ProximityEngine
 from deltaq_testing.oracle import ClearanceOracle
 
 CELL = CellModel.load("lab")
@@ -19,7 +18,7 @@ STILL = {name: np.zeros(robot.n) for name, robot in CELL.robots.items()}
 
 @pytest.fixture
 def proximity():
-    return ProximityEngine(CELL)
+    return ReferenceProximity(CELL)
 
 
 def drawn(seed):
@@ -134,7 +133,7 @@ def test_a_screen_leaves_out_nothing_that_a_look_at_all_would_find(proximity, se
 LENS_IN_THE_FLOOR = np.radians([162.0, -5.0, 60.0, 247.0, -41.0, -97.0])
 
 
-@pytest.mark.parametrize("engine", [ProximityEngine, CompiledProximity])
+@pytest.mark.parametrize("engine", [ReferenceProximity, CompiledProximity])
 def test_a_body_that_is_deeper_in_another_than_it_is_thick_is_still_asked_how_deep_it_is(engine):
     """The middle of the ball around it lies within the box around the other then."""
     proximity = engine(CELL)

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from reference_proximity import ReferenceProximity
 from spans import draw_span
 
+from deltaq_cell.bodies import Extents
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.compiled_proximity import CompiledProximity
-from deltaq_cell.extents import Extents
-from deltaq_cell.proximity import ProximityEngine
-from deltaq_cell.structure import structure_geometry
+from deltaq_cell.robot_bodies import structure_geometry
 
 
 @pytest.fixture(scope="module", params=["lab", "dawm"])
@@ -18,7 +18,7 @@ def cell(request):
     return CellModel.load(request.param)
 
 
-@pytest.fixture(scope="module", params=[ProximityEngine, CompiledProximity])
+@pytest.fixture(scope="module", params=[ReferenceProximity, CompiledProximity])
 def proximity(request, cell):
     return request.param(cell)
 

@@ -16,8 +16,8 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_cell.check import check_cell
 from deltaq_cell.description import RobotDescription
 from deltaq_cell.models import RobotModelError, load_urdf
-from deltaq_cell.plausible import check_rotations, extent
 from deltaq_cell.robot import RobotModel
+from deltaq_cell.robot_bodies import check_rotations, extent
 from deltaq_cell.urdf_parsing import parse_model
 from deltaq_protocol.messages import Outcome
 from deltaq_testing.virtual_cell.cell import VirtualCell

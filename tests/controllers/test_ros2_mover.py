@@ -9,7 +9,7 @@ import pytest
 from ros_points import ATTACHMENT, point, trajectory
 from small_cell import small_cell, tool_pose
 
-from deltaq_cell.summary import robot_summary
+from deltaq_cell.cell_model import robot_summary
 from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.ros2.messages import JointTrajectory
 from deltaq_controllers.ros2.mover import TrajectoryFollower, TrajectoryMover

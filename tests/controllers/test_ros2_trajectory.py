@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from ros_points import point, trajectory
 from small_cell import small_cell
 
-from deltaq_cell.summary import robot_summary
+from deltaq_cell.cell_model import robot_summary
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.ros2.messages import Header, RefusedMessageError, RosTime
 from deltaq_controllers.ros2.mover import SHARE, RateProfile

@@ -19,8 +19,8 @@ from commands import PROGRAM, deltaq
 from json_client import json_client
 from own_robot import write_cell, write_package
 
+from deltaq_cell.find import find_file
 from deltaq_cell.load import load_cell
-from deltaq_cell.packages import find_file
 from deltaq_deploy.launch.private_cell import free_ports
 from deltaq_protocol import connect
 from deltaq_protocol.client import Cell

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from spans import exact_drives
 
 from deltaq_cell.decisions import Decisions
-from deltaq_cell.kernel.course import lay_course
-from deltaq_cell.kernel.motion import course_points
+from deltaq_cell.kernel.course import course_points, lay_course
 from deltaq_experiments.bench.cornered import stored
 from deltaq_protocol.guarded import Admission
 from deltaq_services.sim.compiled_certificate import Blend, CompiledCertifier

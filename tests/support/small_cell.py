@@ -7,9 +7,9 @@ import random
 import socket
 from typing import Any
 
+from deltaq_cell.cell_model import robot_summary
 from deltaq_cell.description import CellDescription
 from deltaq_cell.identity import content_identity
-from deltaq_cell.summary import robot_summary
 from deltaq_protocol.guarded import Plan, ServerState
 from deltaq_protocol.messages import Description, Phase, ToolPose
 

@@ -5,15 +5,6 @@ behind it returns rad and m. The numbers of a robot in joint order come from `Ro
 its siblings.
 """
 
-from deltaq_cell.description.base import (
-    DescriptionModel,
-    EndpointText,
-    GuardedEndpointText,
-    JointName,
-    NotNegative,
-    Pose,
-    Positive,
-)
 from deltaq_cell.description.bodies import (
     Attachment,
     Body,
@@ -22,15 +13,27 @@ from deltaq_cell.description.bodies import (
     CapsuleShape,
     Colour,
     CylinderShape,
+    DescriptionModel,
+    EndpointText,
+    GuardedEndpointText,
     Hand,
+    JointName,
+    NotNegative,
+    Pose,
+    Positive,
     Shape,
     SphereShape,
     Tool,
 )
 from deltaq_cell.description.cell import MOST_ROBOTS, CellDescription, ContactDescription, GateDescription
-from deltaq_cell.description.driver import Driver, KinematicDriver, RsiDescription, ServoLag
-from deltaq_cell.description.joint import JointDescription
-from deltaq_cell.description.robot import RobotDescription
+from deltaq_cell.description.robot import (
+    Driver,
+    JointDescription,
+    KinematicDriver,
+    RobotDescription,
+    RsiDescription,
+    ServoLag,
+)
 from deltaq_protocol.messages import Name, Vector3
 
 __all__ = [

@@ -6,14 +6,14 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from deltaq_cell.description.base import (
+from deltaq_cell.description.bodies import (
+    Body,
     DescriptionModel,
     EndpointText,
     GuardedEndpointText,
     NotNegative,
     Positive,
 )
-from deltaq_cell.description.bodies import Body
 from deltaq_cell.description.robot import RobotDescription
 from deltaq_protocol.messages import Name
 

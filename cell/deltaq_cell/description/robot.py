@@ -3,17 +3,196 @@
 from __future__ import annotations
 
 from functools import cached_property
+from ipaddress import ip_address
 from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
-from deltaq_cell.description.base import DescriptionModel, GuardedEndpointText, JointName, Pose
-from deltaq_cell.description.bodies import Attachment, Camera, Hand, Tool
-from deltaq_cell.description.driver import DRIVES, Driver, RsiDescription, ServoLag
-from deltaq_cell.description.joint import JointDescription
+from deltaq_cell.description.bodies import (
+    Attachment,
+    Camera,
+    DescriptionModel,
+    GuardedEndpointText,
+    Hand,
+    JointName,
+    NotNegative,
+    Pose,
+    Positive,
+    Tool,
+)
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Name
+
+# One joint: its limits, and what the gate may ask of it.
+
+
+class JointDescription(DescriptionModel):
+    """Limits and home of one joint; either all in degrees (revolute) or all in metres (prismatic)."""
+
+    home_deg: FiniteFloat | None = None
+    lower_deg: FiniteFloat | None = None
+    upper_deg: FiniteFloat | None = None
+    max_velocity_deg_s: Positive | None = None
+    max_acceleration_rad_s2: Positive | None = None
+    tracking_tolerance_deg: Positive = 0.1
+    """How far the joint may be off the hull of its setpoints; the gate's distances contain it."""
+    home_m: FiniteFloat | None = None
+    lower_m: FiniteFloat | None = None
+    upper_m: FiniteFloat | None = None
+    max_velocity_m_s: Positive | None = None
+    max_acceleration_m_s2: Positive | None = None
+    tracking_tolerance_m: Positive = 0.0005
+
+    @model_validator(mode="after")
+    def _has_one_unit_and_ordered_limits(self) -> Self:
+        revolute = (self.home_deg, self.lower_deg, self.upper_deg, self.max_velocity_deg_s,
+                    self.max_acceleration_rad_s2)  # fmt: skip
+        prismatic = (self.home_m, self.lower_m, self.upper_m, self.max_velocity_m_s,
+                     self.max_acceleration_m_s2)  # fmt: skip
+        given = [all(v is not None for v in group) for group in (revolute, prismatic)]
+        other = [any(v is not None for v in group) for group in (prismatic, revolute)]
+        if not any(given) or (given[0] and other[0]) or (given[1] and other[1]):
+            raise ValueError(
+                "a joint needs home_deg, lower_deg, upper_deg, max_velocity_deg_s and "
+                "max_acceleration_rad_s2 (revolute), or home_m, lower_m, upper_m, max_velocity_m_s and "
+                "max_acceleration_m_s2 (prismatic), and none of the other kind"
+            )
+        if not self.lower < self.upper:
+            raise ValueError(f"the lower limit {self.lower:g} must be below the upper limit {self.upper:g}")
+        if not self.lower <= self.home <= self.upper:
+            raise ValueError(f"home {self.home:g} must lie between {self.lower:g} and {self.upper:g}")
+        return self
+
+    @property
+    def revolute(self) -> bool:
+        """True for a revolute joint, False for a prismatic one."""
+        return self.lower_deg is not None
+
+    def _si(self, degrees: float | None, metres: float | None) -> float:
+        if degrees is not None:
+            return float(np.deg2rad(degrees))
+        assert metres is not None  # the validator ensures it
+        return metres
+
+    @property
+    def home(self) -> float:
+        """Home position [rad or m]."""
+        return self._si(self.home_deg, self.home_m)
+
+    @property
+    def lower(self) -> float:
+        """Lower limit [rad or m]."""
+        return self._si(self.lower_deg, self.lower_m)
+
+    @property
+    def upper(self) -> float:
+        """Upper limit [rad or m]."""
+        return self._si(self.upper_deg, self.upper_m)
+
+    @property
+    def max_velocity(self) -> float:
+        """Largest speed [rad/s or m/s]."""
+        return self._si(self.max_velocity_deg_s, self.max_velocity_m_s)
+
+    @property
+    def max_acceleration(self) -> float:
+        """Largest acceleration and deceleration [rad/s^2 or m/s^2]."""
+        value = self.max_acceleration_rad_s2 if self.revolute else self.max_acceleration_m_s2
+        assert value is not None  # the validator ensures it
+        return value
+
+    @property
+    def tracking_tolerance(self) -> float:
+        """How far the measured joint may be off the commanded path [rad or m]."""
+        return float(np.deg2rad(self.tracking_tolerance_deg)) if self.revolute else self.tracking_tolerance_m
+
+
+# How a Robot Server reaches its robot.
+
+
+def _is_loopback(address: str) -> bool:
+    try:
+        return ip_address(address).is_loopback
+    except ValueError:  # a name
+        return address == "localhost"
+
+
+class RsiDescription(DescriptionModel):
+    """A KUKA controller reached over RSI: the Robot Server listens on `address:port`, the KRC sends to it."""
+
+    kind: Literal["rsi"]
+    address: str = "127.0.0.1"
+    port: Annotated[int, Field(ge=1, le=65535)]
+    krc_address: str | None = None
+    """The KRC's own address: datagrams from others are dropped. Needed unless `address` is a loopback."""
+    ethernet_xml: str
+    """The RSI configuration that the KRC has loaded, beside the cell's file or shipped."""
+    krc: Literal["krc2", "krc4"] = "krc2"
+    ipoc_step: Annotated[int, Field(ge=1, le=1000)] | None = None
+    """By how much the KRC's IPOC grows in a cycle; none: learned from its first telegrams."""
+    inputs: dict[Name, str] = {}
+    """Per digital input of the robot the TAG of the BOOL of SEND that carries it, such as Di.I1."""
+    outputs: dict[Name, str] = {}
+    """Per digital output of the robot the TAG of the BOOL of RECEIVE that carries it, such as Do.O1."""
+    stop: str | None = None
+    """TAG of the BOOL of RECEIVE that ends the motion on the KRC's side, such as Stop; none if it has none."""
+    max_correction_deg: Positive | None = None
+    """Largest correction sent to a rotating axis; none: as far as the joint limits, and a margin, allow."""
+    max_correction_mm: Positive | None = None
+    """The same for a linear axis."""
+    control_port: Annotated[int, Field(ge=1, le=65535)] | None = None
+    """The emulator's operator panel listens here; a real KRC has none. Best a port that the system gives to no socket
+    that asks for none: on Linux one below 32768."""
+
+    @model_validator(mode="after")
+    def _listens_to_one_krc(self) -> Self:
+        if self.krc_address is None and not _is_loopback(self.address):
+            raise ValueError(
+                f"krc_address is not given though address is {self.address}: whoever reaches that address could "
+                "pass for the KRC; give the KRC's own address, such as krc_address: 192.168.10.20"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _keeps_stop_from_users(self) -> Self:
+        for name, tag in self.outputs.items():
+            if tag == self.stop:
+                raise ValueError(
+                    f"outputs.{name} is {tag}, which is driver.stop: users set outputs, and the Robot Server "
+                    "alone ends the motion; give the output another BOOL of RECEIVE"
+                )
+        return self
+
+
+class KinematicDriver(DescriptionModel):
+    """A robot that is no KUKA: the Robot Server itself keeps the time, and measured joints equal the setpoint."""
+
+    kind: Literal["kinematic"]
+
+
+Driver = Annotated[RsiDescription | KinematicDriver, Field(discriminator="kind")]
+
+
+class ServoLag(DescriptionModel):
+    """The drives' lag from command to motion, as the emulator models it: dead time and second order."""
+
+    dead_time_s: NotNegative = 0.012
+    natural_frequency_rad_s: Positive = 167.0
+    damping: Positive = 1.0
+
+
+DRIVES = {
+    "krc2": ServoLag(dead_time_s=0.046, natural_frequency_rad_s=40.0),
+    "krc4": ServoLag(dead_time_s=0.016, natural_frequency_rad_s=40.0),
+}
+"""Lag of emulated drives by generation of the KRC, where a robot says none.
+
+Of a KR 16 on a KR C2 a response of 50 ms and a tracking delay over RSI of 120 ms are published (Arbo, Eriksen,
+Sanfilippo, Gravdahl: Comparison of KVP and RSI for controlling KUKA robots over ROS, IFAC-PapersOnLine 53-2, 2020,
+9841-9846): two cycles of 12 ms until a setpoint reaches the drives, 46 ms of dead time, and a second order of 2 / 40 s.
+For a KR C4 nothing is published: the same response, and a dead time of as many cycles, a stand-in until
+`deltaq krc lag` has measured it."""
 
 
 class RobotDescription(DescriptionModel):

@@ -107,7 +107,7 @@ class Placed(NamedTuple):
 
 
 class PlacedBody(NamedTuple):
-    """One body where it is placed: corners, widened by a ball and by a disc across its axis (`deltaq_cell.extents`).
+    """One body where it is placed: corners, widened by a ball and by a disc across its axis (`deltaq_cell.bodies`).
 
     Attributes:
         corners: (k, 3), of which the first `corner_count` are its own [m].

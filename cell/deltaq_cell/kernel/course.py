@@ -8,7 +8,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from deltaq_cell.compiled import compiled
+import numpy as np
+
+from deltaq_cell.compiled import compiled, makes_no_array
 from deltaq_cell.kernel.pieces import Tube
 from deltaq_protocol.arrays import Array
 
@@ -84,3 +86,85 @@ def lay_course(course: Course, share: float) -> Tube:
         course.joints,
         course.bodies,
     )
+
+
+# What the gate computes of a few joints' numbers in every decision.
+
+
+@makes_no_array
+def keeps_limits(
+    brake: Array,
+    request: Array,
+    last_dq: Array,
+    q_cmd: Array,
+    max_dq: Array,
+    max_dv: Array,
+    lower: Array,
+    upper: Array,
+    slack: float,
+    rounding: float,
+) -> bool:
+    """Whether neither `Limits.dynamic_scale` nor `Limits.position_scale` would leave less than a whole request.
+
+    Args:
+        brake: (n,) next increment of the brake [rad or m].
+        request: (n,) increment asked for.
+        last_dq: (n,) increment sent last.
+        q_cmd: (n,) setpoint.
+        max_dq: (n,) largest increment.
+        max_dv: (n,) its largest change.
+        lower: (n,) least position.
+        upper: (n,) greatest.
+        slack: fraction of a bound by which rounding may exceed it.
+        rounding: how far beyond a position limit a sum of increments may end.
+    """
+    most = 0.0
+    for joint in range(len(brake)):
+        slowest = max(-max_dq[joint], last_dq[joint] - max_dv[joint])
+        fastest = min(max_dq[joint], last_dq[joint] + max_dv[joint])
+        change = request[joint] - brake[joint]
+        if change != 0.0:
+            room = (fastest if change > 0.0 else slowest) - brake[joint]
+            if not room / change >= 1.0 - slack:
+                return False
+        most = max(most, abs(brake[joint] + change) / max_dv[joint])
+    cycles = max(1.0, math.ceil(most * (1.0 - slack)))
+    for joint in range(len(brake)):
+        dq = brake[joint] + (request[joint] - brake[joint])
+        end = q_cmd[joint] + dq * ((cycles + 1.0) / 2.0)
+        above = end - max(upper[joint], q_cmd[joint])
+        below = min(lower[joint], q_cmd[joint]) - end
+        if not max(above, below) <= rounding:
+            return False
+    return True
+
+
+@compiled
+def course_points(past: Array, path: Array, dq: Array, brake_cycles: int, step: int) -> tuple[Array, bool]:
+    """All setpoints of a course, and whether any of them differ.
+
+    Args:
+        past: (m, n) setpoints before [rad or m].
+        path: (k, n) setpoints in flight.
+        dq: (n,) increment that follows.
+        brake_cycles: length of its brake.
+        step: of it that was sent last; -1 before `dq` itself.
+    """
+    joints, moves = len(dq), False
+    for joint in range(joints):
+        moves = moves or dq[joint] != 0.0
+    before = len(past) + len(path)
+    to_come = max(0, brake_cycles - step - 1) if moves else 0
+    points = np.empty((before + to_come, joints))
+    points[: len(past)] = past
+    points[len(past) : before] = path
+    travel = 0.0
+    for k in range(to_come):
+        travel += (brake_cycles - (step + 1 + k)) / brake_cycles
+        for joint in range(joints):
+            points[before + k, joint] = points[before - 1, joint] + travel * dq[joint]
+    moves = False
+    for k in range(len(points)):
+        for joint in range(joints):
+            moves = moves or points[k, joint] != points[len(points) - 1, joint]
+    return points, moves

@@ -7,13 +7,175 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from deltaq_cell.compiled import makes_no_array
+from deltaq_cell.compiled import inlined, makes_no_array
 from deltaq_cell.kernel.arrays import Anatomy, Findings, Integers, Pairs, Placed
-from deltaq_cell.kernel.certify import TubesCertified, certify
 from deltaq_cell.kernel.course import Course, lay_course
-from deltaq_cell.kernel.look import NONE
-from deltaq_cell.kernel.pieces import Stack, Tube
+from deltaq_cell.kernel.look import NONE, look, separate
+from deltaq_cell.kernel.pieces import (
+    MINE,
+    THEIRS,
+    Stack,
+    Tube,
+    begin,
+    divide,
+    divides,
+    lay_box,
+    lay_span,
+    want,
+)
+from deltaq_cell.kernel.place import place, spread
 from deltaq_protocol.arrays import Array
+
+
+class TubesCertified(NamedTuple):
+    """What came of a certificate.
+
+    Attributes:
+        holds: whether every pair keeps what it has to, anywhere in the tubes.
+        left: what is left of the budget.
+        told: index of the pair with the least room, in the first look or in that which failed; -1 for none.
+        travel_m: how far the two bodies travel together in that look [m].
+        least_m: bound of their room from below [m].
+        most_m: and from above [m].
+        too_near: whether a pair was too near at the middle where it failed.
+        first_open: where in `Stack.chosen` the pairs begin that were left open where it failed.
+        last_open: one more than where they end.
+    """
+
+    holds: bool
+    left: int
+    told: int
+    travel_m: float
+    least_m: float
+    most_m: float
+    too_near: bool
+    first_open: int
+    last_open: int
+
+
+@makes_no_array
+def certify(
+    cell: Anatomy,
+    placed: Placed,
+    mine: Tube,
+    theirs: Tube,
+    pairs: Pairs,
+    asked: Integers,
+    room_m: float,
+    budget: int,
+    tells: bool,
+    stack: Stack,
+    found: Findings,
+) -> TubesCertified:
+    """Whether pairs keep `room_m` beyond their stop distance anywhere in two tubes, or in one.
+
+    Args:
+        cell: what stays.
+        placed: is written to; afterwards only some bodies are placed.
+        mine: tube of one robot.
+        theirs: tube of another; without points, all pairs are of the one robot and what stands.
+        pairs: of the cell, or some; every stop distance and `room_m` together are positive.
+        asked: (k,) indices of those that are asked about, if they are active.
+        room_m: what is asked for [m].
+        budget: how many pairs may be searched in parts of the tubes and be followed by others.
+        tells: whether the pair with the least room is asked for also where all have theirs.
+        stack: is written to.
+        found: is written to.
+    """
+    told, travel_m, least_m, most_m = NONE, 0.0, 0.0, 0.0
+    top = 1 if begin(stack, mine, theirs, pairs, asked) else 0
+    whole, serial = True, 1
+    while top > 0:
+        row = top - 1
+        first, last = stack.part[row]
+        want(stack, row, pairs)
+        _place(cell, placed, stack, row, MINE, mine)
+        _place(cell, placed, stack, row, THEIRS, theirs)
+        chosen = stack.chosen[first:last]
+        tightest, any_open, too_near, searched = look(
+            cell, placed, pairs, chosen, room_m, whole, whole and tells, found
+        )
+        if any_open and not too_near:
+            _spread(cell, placed, stack, row, MINE, mine)
+            _spread(cell, placed, stack, row, THEIRS, theirs)
+            separate(cell, placed, pairs, chosen, room_m, found)
+        if whole and tells:
+            told, travel_m, least_m, most_m = _keep_where(stack, row, tightest, pairs, found)
+        elif not whole:
+            budget -= searched
+        whole = False
+        open_end = _list_open(stack, found, first, last)
+        if open_end == last:
+            top -= 1
+            continue
+        # the one that travels further is divided first
+        mine_divides = not too_near and divides(stack, row, MINE, mine)
+        theirs_divides = not too_near and divides(stack, row, THEIRS, theirs)
+        if budget < 0 or not (mine_divides or theirs_divides) or top == len(stack.part):
+            told, travel_m, least_m, most_m = _keep_where(stack, row, tightest, pairs, found)
+            return TubesCertified(False, budget, told, travel_m, least_m, most_m, too_near, last, open_end)
+        stack.part[row, 0], stack.part[row, 1] = last, open_end
+        further = stack.greatest[MINE] >= stack.greatest[THEIRS]
+        if mine_divides and (further or not theirs_divides):
+            divide(stack, row, MINE, mine, serial)
+        else:
+            divide(stack, row, THEIRS, theirs, serial)
+        serial += 2
+        top += 1
+    return TubesCertified(True, budget, told, travel_m, least_m, most_m, False, 0, 0)
+
+
+@inlined
+def _list_open(stack: Stack, found: Findings, first: int, last: int) -> int:
+    """List the open pairs of a row after all of them; returns where they end."""
+    end = last
+    for k in range(first, last):
+        if found.open[stack.chosen[k]]:
+            stack.chosen[end] = stack.chosen[k]
+            end += 1
+    return end
+
+
+@inlined
+def _place(cell: Anatomy, placed: Placed, stack: Stack, row: int, side: int, tube: Tube) -> None:
+    """Place the bodies that are wanted, unless they are: rows below ask for the pairs of this row, or for more."""
+    serial, first = stack.serial[row, side], stack.part[row, 0]
+    if stack.placed[side, 0] == serial and stack.placed[side, 1] <= first:
+        return
+    stack.placed[side, 0], stack.placed[side, 1] = serial, first
+    stack.greatest[side] = 0.0
+    if len(tube.points) > 0:
+        lay_box(stack, row, side, tube)
+        stack.greatest[side] = place(
+            cell,
+            placed,
+            tube.joints,
+            tube.bodies,
+            stack.wanted,
+            stack.middle[row, side],
+            stack.half[row, side],
+        )
+
+
+@inlined
+def _spread(cell: Anatomy, placed: Placed, stack: Stack, row: int, side: int, tube: Tube) -> None:
+    """Say which span a robot that is placed is in; only planes ask for it."""
+    if len(tube.points) > 0:
+        lay_span(stack, row, side, tube)
+        offset, vertices = stack.offset[row, side], stack.vertices[row, side]
+        spread(cell, placed, tube.joints, tube.bodies, offset, vertices, stack.deviation[row, side])
+
+
+@inlined
+def _keep_where(
+    stack: Stack, row: int, tightest: int, pairs: Pairs, found: Findings
+) -> tuple[int, float, float, float]:
+    """Keep where a pair was found; returns the pair, its travel, and bounds of its room from below and above."""
+    for side in range(2):
+        for joint in range(stack.told.shape[1]):
+            stack.told[side, joint] = stack.middle[row, side, joint]
+    most_m = found.at_most_m[tightest] - found.travel_m[tightest] - pairs.stop_m[tightest]
+    return tightest, found.travel_m[tightest], found.room_m[tightest], most_m
 
 
 class Against(NamedTuple):
@@ -137,36 +299,27 @@ def largest_share(
 ) -> tuple[float, int]:
     """Largest share of a request found that is certified, as `deltaq_services.sim.certificate` finds it.
 
-    Args:
-        cell: what stays.
-        placed: is written to.
-        course: of the request; what it was laid for last is written over.
-        refused: a share whose certificate does not hold.
-        against: what the robot's tube is held against.
-        pairs: all of the cell; every stop distance and `room_m` together are positive.
-        every: (pairs,) their indices.
-        room_m: what is asked for [m].
-        budget: of searches in parts of tubes, for all together.
-        trial_budget: of these, what one trial of suspects may spend on one other tube.
-        halvings: how finely a share is searched.
-        rounds: searches that end with a certificate.
-        tells: False. It is handed over because numba compiles `certify` once more for a constant, in a minute.
-        suspected: has the pairs at which the certificate of `refused` failed; is written to.
-        stack: is written to.
-        found: is written to.
-        told: is not written to.
+    Beyond what `certify_all` takes, which does not write to `told` here:
+
+    - course: of the request; what it was laid for last is written over.
+    - refused: a share whose certificate does not hold.
+    - trial_budget: of the budget, what one trial of suspects may spend on one other tube.
+    - halvings: how finely a share is searched.
+    - rounds: searches that end with a certificate.
+    - tells: False. It is handed over because numba compiles `certify` once more for a constant, in a minute.
+    - suspected: has the pairs at which the certificate of `refused` failed; is written to.
 
     Returns:
         The share, 0 if none is found, and what is left of the budget.
     """
     least = refused / 2**halvings
     for sets in range(1, rounds + 1):
-        # the least first: where a robot stands right before an obstacle it is refused, and nearly always all others
-        kept, budget = _keep(
+        share, budget = _largest_kept(
             cell,
             placed,
             course,
             least,
+            refused,
             against,
             pairs,
             room_m,
@@ -178,37 +331,14 @@ def largest_share(
             stack,
             found,
         )
-        if not kept:
+        if share == 0.0:
             return 0.0, budget
-        share, step = least, refused - least
-        while step > least:
-            step /= 2
-            kept, budget = _keep(
-                cell,
-                placed,
-                course,
-                share + step,
-                against,
-                pairs,
-                room_m,
-                budget,
-                trial_budget,
-                sets,
-                tells,
-                suspected,
-                stack,
-                found,
-            )
-            if kept:
-                share += step
         mine = lay_course(course, share)
         failed, budget, _, first, last = certify_all(
             cell, placed, mine, against, pairs, every, room_m, budget, tells, stack, found, told
         )
-        if failed == NONE:
-            return share, budget
-        if share == least:
-            return 0.0, budget
+        if failed == NONE or share == least:
+            return (share if failed == NONE else 0.0), budget
         refused = share
         if sets < rounds:
             _suspect(suspected, sets, stack.chosen[first:last], against.tubes[failed, 11])
@@ -217,6 +347,70 @@ def largest_share(
         cell, placed, mine, against, pairs, every, room_m, budget, tells, stack, found, told
     )
     return (least if failed == NONE else 0.0), budget
+
+
+@makes_no_array
+def _largest_kept(
+    cell: Anatomy,
+    placed: Placed,
+    course: Course,
+    least: float,
+    refused: float,
+    against: Against,
+    pairs: Pairs,
+    room_m: float,
+    budget: int,
+    trial_budget: int,
+    sets: int,
+    tells: bool,
+    suspected: Suspected,
+    stack: Stack,
+    found: Findings,
+) -> tuple[float, int]:
+    """Largest share below `refused` found at which suspects keep apart, 0 if none is; and what is left of the budget.
+
+    The least is tried first: where a robot stands right before an obstacle it is refused, and nearly always all others.
+    """
+    kept, budget = _keep(
+        cell,
+        placed,
+        course,
+        least,
+        against,
+        pairs,
+        room_m,
+        budget,
+        trial_budget,
+        sets,
+        tells,
+        suspected,
+        stack,
+        found,
+    )
+    if not kept:
+        return 0.0, budget
+    share, step = least, refused - least
+    while step > least:
+        step /= 2
+        kept, budget = _keep(
+            cell,
+            placed,
+            course,
+            share + step,
+            against,
+            pairs,
+            room_m,
+            budget,
+            trial_budget,
+            sets,
+            tells,
+            suspected,
+            stack,
+            found,
+        )
+        if kept:
+            share += step
+    return share, budget
 
 
 @makes_no_array

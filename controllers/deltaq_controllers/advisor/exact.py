@@ -11,8 +11,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from deltaq_cell.bodies import composite_model
 from deltaq_cell.cell_model import CellModel
-from deltaq_cell.composite_model import composite_model
 from deltaq_cell.group import Group
 from deltaq_cell.proximity import ProximityEngine
 from deltaq_cell.robot import RobotModel
@@ -34,10 +34,11 @@ class ExactClearance:
     def __init__(self, cell: CellModel, robot: str, others: Mapping[str, Array] | None = None) -> None:
         self._proximity = ProximityEngine(cell)
         self._robot = robot
-        lists = [self._proximity.alone[robot]]
-        lists += [self._proximity.between[robot, name] for name in cell.robots if name != robot]
-        self._lists = [groups for groups in lists if groups]
-        self._kept = _KeptDistances(cell, robot, [group for groups in self._lists for group in groups])
+        self._groups = list(self._proximity.alone[robot])
+        for name in cell.robots:
+            if name != robot:
+                self._groups += self._proximity.between[robot, name]
+        self._kept = _KeptDistances(cell, robot, self._groups)
         self.place({name: model.home for name, model in cell.robots.items()} | dict(others or {}))
 
     def place(self, others: Mapping[str, Array]) -> None:
@@ -58,10 +59,9 @@ class ExactClearance:
     def measure(self, q: Array) -> Clearance:
         """The tightest pair at configuration `q` (n,)."""
         self._proximity.place(self._robot, q, np.zeros(len(q)))
-        looks = [self._proximity.look(groups, 0.0) for groups in self._lists]
-        rooms = [(near.swept_m - look.stop_distance_m, near) for look in looks if (near := look.tightest)]
-        room_m, near = min(rooms, key=lambda item: item[0])
-        return Clearance(room_m, near.distance_m, near.pair)
+        tightest = min(self._groups, key=lambda group: self._proximity.least(group) - group.stop_distance_m)
+        near = tightest.nearest()
+        return Clearance(near.swept_m - tightest.stop_distance_m, near.distance_m, near.pair)
 
 
 class _KeptDistances:

@@ -38,7 +38,7 @@ def compile_ahead(names: Sequence[str]) -> Sequence[str]:
     """Make the controllers of these names for the lab cell, all if there is none; returns which they were."""
     # heavy packages are imported only if something is left to do
     from deltaq_cell.cell_model import CellModel
-    from deltaq_cell.compiling import compiling_shown
+    from deltaq_cell.machine_code import compiling_shown
     from deltaq_cell.roles import camera_roles
     from deltaq_controllers.camera.controllers import NAMES, camera_controller_named
     from deltaq_controllers.camera.scene import Scene

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from deltaq_cell.carried_frames import PointName
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
+from deltaq_cell.robot_bodies import PointName
 from deltaq_controllers.camera.aim import TOOL, focus_of
 from deltaq_controllers.camera.visibility import VisibilityGauge
 from deltaq_controllers.interface import View

@@ -17,10 +17,9 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from deltaq_cell.bodies import WORLD, composite_model, corners_of
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.compiled import compiled, inlined
-from deltaq_cell.composite_model import WORLD, composite_model
-from deltaq_cell.extents import corners_of
 from deltaq_cell.group import make_reproducible
 from deltaq_controllers.kinematics import placement_views
 from deltaq_controllers.spheres import local_box

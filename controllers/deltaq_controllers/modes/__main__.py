@@ -42,7 +42,7 @@ def compile_ahead(cell: str) -> None:
     """Drive every robot of the cell, on its model alone."""
     # heavy packages are imported only if something is left to do
     from deltaq_cell.cell_model import CellModel
-    from deltaq_cell.compiling import compiling_shown
+    from deltaq_cell.machine_code import compiling_shown
     from deltaq_cell.robot import RobotModel
     from deltaq_controllers.advisor.session import SynchronousAdvisor
     from deltaq_controllers.modes.advisor import AdvisorMode, tracker_of

@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from deltaq_cell.bodies import WORLD, composite_model
 from deltaq_cell.cell_model import CellModel
-from deltaq_cell.composite_model import WORLD, composite_model
 from deltaq_cell.group import make_reproducible
 from deltaq_controllers.joint_frames import joint_tree
 from deltaq_controllers.spheres import Spheres, local_box

@@ -14,7 +14,7 @@ import numpy as np
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.description import CellDescription, Pose
-from deltaq_cell.structure import placement
+from deltaq_cell.robot_bodies import placement
 from deltaq_controllers.advisor.advisor import Option, Progress
 from deltaq_controllers.advisor.advisor import advise as advise_on
 from deltaq_controllers.advisor.exact import ExactClearance

@@ -17,8 +17,8 @@ from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from deltaq_cell.compiling import TELLS_EACH
 from deltaq_cell.description import CellDescription
+from deltaq_cell.machine_code import TELLS_EACH
 from deltaq_controllers.camera import FOLLOWS
 from deltaq_deploy.launch.child_process import start_with_lines
 from deltaq_deploy.launch.errors import LaunchError

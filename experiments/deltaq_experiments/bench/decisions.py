@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
+from deltaq_cell.bodies import WORLD, composite_model
 from deltaq_cell.cell_model import CellModel
-from deltaq_cell.composite_model import WORLD, composite_model
 from deltaq_cell.group import make_reproducible
 from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.leader.scripted import ScriptedLeader

@@ -17,9 +17,8 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from deltaq_cell.cell_model import CellModel
+from deltaq_cell.cell_model import CellModel, joint_axis
 from deltaq_cell.robot import RobotModel
-from deltaq_cell.told_kinematics import joint_axis
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.pad_layout import PAD_LAYOUT, VIEW_RANGE_M, VIEW_STEP_M
 from deltaq_services.console.feed import OUTCOMES, PHASES

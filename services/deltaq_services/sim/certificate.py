@@ -12,8 +12,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from deltaq_cell.compiled_proximity import CompiledProximity, DistanceQuery
 from deltaq_cell.group import Group, Nearest
-from deltaq_cell.proximity import DistanceQuery, ProximityEngine
 from deltaq_services.sim.tube import Piece, Windows
 
 NUMERICAL_TOLERANCE_M = 1e-5
@@ -62,7 +62,7 @@ class Certificate:
 class Certifier:
     """Certifies tubes, all within one budget of pieces; `CompiledCertifier` does it in machine code."""
 
-    def __init__(self, proximity: ProximityEngine, budget: int = BUDGET) -> None:
+    def __init__(self, proximity: CompiledProximity, budget: int = BUDGET) -> None:
         self._proximity = proximity
         self._left = budget
 

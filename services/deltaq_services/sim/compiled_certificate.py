@@ -1,7 +1,7 @@
 """`deltaq_services.sim.certificate` in machine code, many times quicker and with a larger budget.
 
 The kernel divides the same tubes in the same way, but asks each half only for those pairs that the whole left open
-(`deltaq_cell.kernel.certify`). So it needs fewer pieces. It certifies nothing that the readable code would not
+(`deltaq_cell.kernel.decision`). So it needs fewer pieces. It certifies nothing that the readable code would not
 certify with a budget that is large enough; tests hold the one against the other.
 """
 
@@ -13,13 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from deltaq_cell.compiled_proximity import CompiledProximity
-from deltaq_cell.decisions import Decisions
-from deltaq_cell.division import Division
-from deltaq_cell.group import Group
+from deltaq_cell.decisions import Decisions, Division
+from deltaq_cell.group import Group, PairedGroups
 from deltaq_cell.kernel.course import Course
 from deltaq_cell.kernel.decision import Against
 from deltaq_cell.kernel.pieces import Tube
-from deltaq_cell.paired_groups import PairedGroups
 from deltaq_protocol.arrays import Array
 from deltaq_services.sim.certificate import (
     HALVINGS,

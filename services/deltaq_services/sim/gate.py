@@ -86,7 +86,7 @@ class SlowDown:
         cycle_s: sample time of its robots.
     """
 
-    def __init__(self, proximity: ProximityEngine, margins: GateDescription, cycle_s: float) -> None:
+    def __init__(self, proximity: CompiledProximity, margins: GateDescription, cycle_s: float) -> None:
         self._proximity = proximity
         self._distance_m = margins.slow_down_distance_m
         self._fastest = margins.slow_down_speed_m_s * cycle_s

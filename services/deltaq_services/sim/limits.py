@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deltaq_cell.description import RobotDescription
-from deltaq_cell.kernel.motion import keeps_limits
+from deltaq_cell.kernel.course import keeps_limits
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles
 from deltaq_protocol.messages import MOST, Reason

@@ -23,7 +23,7 @@ from typing import Protocol
 import numpy as np
 
 from deltaq_cell.description import GateDescription, RobotDescription
-from deltaq_cell.kernel.motion import course_points
+from deltaq_cell.kernel.course import course_points
 from deltaq_cell.kernel.span import SHORTEST, span_around, widths
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.guarded import Admission, ServerState

@@ -9,8 +9,8 @@ from typing import Any
 import yaml
 from pydantic import ValidationError
 
+from deltaq_cell.load import problem_of
 from deltaq_cell.problems import Problem
-from deltaq_cell.validation import problem_of
 from deltaq_cell.yaml_tree import MAX_BYTES, parse
 from deltaq_protocol.errors import DeltaqError
 from deltaq_testing.scenario.model import Scenario

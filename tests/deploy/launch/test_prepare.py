@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from deltaq_cell import machine_code
-from deltaq_cell.compiling import TELLS_EACH, compiling_shown
 from deltaq_cell.load import load_cell
+from deltaq_cell.machine_code import TELLS_EACH, compiling_shown
 from deltaq_controllers.modes import __main__ as modes_compiler
 from deltaq_deploy.launch import prepare
 from deltaq_deploy.launch.errors import LaunchError

@@ -9,8 +9,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from deltaq_cell.anatomy import anatomy_of, placed_at_first
-from deltaq_cell.bodies import Bodies
-from deltaq_cell.composite_model import JointRange
+from deltaq_cell.bodies import Bodies, JointRange
 from deltaq_cell.kernel.arrays import Anatomy
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.camera.escape.distances import BoxedArm, gaps, place_boxes
