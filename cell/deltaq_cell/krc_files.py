@@ -7,9 +7,8 @@ from pathlib import Path
 from deltaq_cell.description import RobotDescription, RsiDescription
 from deltaq_cell.find import resolve_near, same_to_a_krc
 from deltaq_protocol.rsi import AxisMap, EthernetConfig, EthernetConfigError, load_ethernet_xml
-from deltaq_protocol.rsi.context import RsiContext, parse_context
 from deltaq_protocol.rsi.judge import Finding, Station, judge
-from deltaq_protocol.rsi.judge_program import judge_context, judge_program
+from deltaq_protocol.rsi.judge_program import RsiContext, judge_context, judge_program, parse_context
 from deltaq_protocol.xml_text import xml_text
 
 MAX_BYTES = 1 << 20

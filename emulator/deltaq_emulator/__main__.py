@@ -17,9 +17,8 @@ from deltaq_cell.load import find_cell, load_cell, resolve_near
 from deltaq_cell.robot import RobotModel
 from deltaq_emulator.context import NOTHING, Context, read_context
 from deltaq_emulator.krc import Krc
-from deltaq_emulator.profiles import profile_for
-from deltaq_emulator.record_folder import RecordFolder
-from deltaq_emulator.settings import SHIPPED, KrcSettings, SettingsError
+from deltaq_emulator.recorder import RecordFolder
+from deltaq_emulator.settings import SHIPPED, KrcSettings, SettingsError, profile_for
 from deltaq_emulator.shell import Emulator
 from deltaq_protocol import log
 from deltaq_protocol.arrays import Array

@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deltaq_emulator.limits import CorrectionLimits
+from deltaq_emulator.corrections import CorrectionLimits
 from deltaq_emulator.settings import CorrectionMode, KrcSettings, SettingsError
 from deltaq_protocol.rsi import AxisMap
 from deltaq_protocol.rsi.axes import ARM_AXES, EXTERNAL_AXES

@@ -13,20 +13,24 @@ import numpy as np
 
 from deltaq_cell.description import RobotDescription, RsiDescription
 from deltaq_emulator.catalogue import Code, KrcMessage
-from deltaq_emulator.corrections import Corrections
+from deltaq_emulator.corrections import CorrectionLimits, Corrections
 from deltaq_emulator.drives import Drives
 from deltaq_emulator.faults import Forgery
-from deltaq_emulator.late_budget import LateBudget
-from deltaq_emulator.limits import CorrectionLimits
 from deltaq_emulator.monitors import Monitors
-from deltaq_emulator.profiles import Profile
+from deltaq_emulator.recorder import Sample
 from deltaq_emulator.replies import ReplyJudge
-from deltaq_emulator.sample import Sample
-from deltaq_emulator.settings import CorrectionMode, KrcSettings, OperatingMode, SettingsError
+from deltaq_emulator.settings import (
+    CorrectionMode,
+    KrcSettings,
+    LateBudget,
+    OperatingMode,
+    Profile,
+    SettingsError,
+)
 from deltaq_emulator.states import TELEGRAMS_GO_OUT, KrcEvent, KrcState, NotNowError, after
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.rsi import AxisMap, EthernetConfig, KrcCodec, KrcReport
-from deltaq_protocol.rsi.pose import pose_from_matrix
+from deltaq_protocol.rsi.krc_codec import pose_from_matrix
 
 START_CYCLES = 10
 """How long a program needs from its start to RSI_ON, at least."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from deltaq_cell.description import RobotDescription
 from deltaq_emulator.catalogue import Code, KrcMessage
-from deltaq_emulator.limits import in_units
+from deltaq_emulator.corrections import in_units
 from deltaq_emulator.settings import KrcSettings, OperatingMode
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.rsi import AxisMap

@@ -6,7 +6,7 @@ from collections import OrderedDict
 from enum import StrEnum
 from typing import Literal
 
-from deltaq_emulator.late_budget import LateBudget
+from deltaq_emulator.settings import LateBudget
 from deltaq_protocol.rsi import KrcCodec, SensorTelegram, TelegramError
 
 HISTORY = 256

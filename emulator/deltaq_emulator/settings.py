@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -11,8 +13,70 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from deltaq_cell.description import Positive
 from deltaq_cell.problems import CellError
 from deltaq_cell.yaml_tree import parse
-from deltaq_emulator.late_budget import LateRule
+from deltaq_emulator.catalogue import Code, KrcMessage
 from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.rsi.axes import KrcGeneration
+
+# How many cycles without a valid reply a controller permits, by the rule of its generation.
+#
+# | rule | what counts | exceeded when |
+# | --- | --- | --- |
+# | `consecutive` | late cycles since the last valid reply | more than the budget |
+# | `total` | late cycles since RSI_ON | more than the budget |
+# | `share` | late cycles among the last 1000 telegrams | more than so many percent of 1000 |
+#
+# KR C4 and later permit a number of cycles (Timeout of the ETHERNET object); whether in a row or altogether is not
+# known. A KR C2 permits a fraction (maxLatePackages) of a window of 1000 telegrams; those not sent yet count as
+# answered.
+
+LateRule = Literal["consecutive", "total", "share"]
+
+FIELD_OF_VIEW = 1000
+"""Telegrams among which a KR C2 counts the late ones."""
+
+
+class LateBudget:
+    """Counts late cycles.
+
+    Args:
+        rule: which of them count.
+        cycles: permitted, where cycles are counted.
+        percent: of the window permitted, where a fraction is counted.
+    """
+
+    def __init__(self, rule: LateRule, cycles: int, percent: float) -> None:
+        self._rule = rule
+        self._cycles = cycles
+        self._percent = percent
+        self.begin_session()
+
+    def begin_session(self) -> None:
+        """Count from zero."""
+        self._view: deque[bool] = deque(maxlen=FIELD_OF_VIEW)
+        self.counted = 0
+        """Late cycles that count now."""
+
+    def cycle(self, late: bool) -> None:
+        """A cycle passed with or without a valid reply."""
+        if self._rule == "consecutive" and not late:
+            self.counted = 0
+        if self._rule == "share":
+            leaving = len(self._view) == FIELD_OF_VIEW and self._view[0]
+            self._view.append(late)
+            self.counted -= leaving
+        self.counted += late
+
+    @property
+    def exceeded(self) -> KrcMessage | None:
+        """The message if more are late than permitted."""
+        if self._rule == "share":
+            percent = 100.0 * self.counted / FIELD_OF_VIEW
+            if percent > self._percent:
+                return KrcMessage(Code.LATE_SHARE, "", percent, self._percent)
+        elif self.counted > self._cycles:
+            return KrcMessage(Code.LATE_PACKETS, "", self.counted, self._cycles)
+        return None
+
 
 SHIPPED = Path(__file__).with_name("krc_settings.yaml")
 """The emulator's default settings."""
@@ -101,3 +165,48 @@ class KrcSettings(BaseModel):
                 f"{path}: {where}: {first['msg']}, got {first['input']!r}; allowed settings are "
                 f"{', '.join(cls.model_fields)}"
             ) from error
+
+
+# Differences between generations of controllers.
+
+
+@dataclass(frozen=True)
+class Profile:
+    """One generation of controllers.
+
+    Attributes:
+        name: as in a cell's `driver.krc`; the telegram codec knows how it reports linear axes.
+        cycles_s: sensor cycles it can run.
+        reply_within: fraction of the cycle in which a reply has to arrive.
+        ipoc_only_first: the first telegram after RSI started has nothing but its IPOC.
+        late_count: which late replies count against its budget.
+    """
+
+    name: KrcGeneration
+    cycles_s: tuple[float, ...]
+    reply_within: float
+    ipoc_only_first: bool
+    late_count: LateRule
+
+
+PROFILES: dict[str, Profile] = {
+    "krc2": Profile("krc2", (0.012,), 10.5 / 12.0, True, "share"),
+    "krc4": Profile("krc4", (0.004, 0.012), 1.0, False, "consecutive"),
+}
+
+
+def profile_for(krc: str, cycle_s: float) -> Profile:
+    """The profile of a controller that is to run at this cycle.
+
+    Raises:
+        SettingsError: if there is no such controller or it cannot run at this cycle.
+    """
+    if krc not in PROFILES:
+        raise SettingsError(f"driver.krc is {krc!r}, allowed is {' or '.join(PROFILES)}")
+    profile = PROFILES[krc]
+    if not any(abs(cycle_s - allowed) < 1e-9 for allowed in profile.cycles_s):
+        allowed = " or ".join(f"{cycle * 1e3:g}" for cycle in profile.cycles_s)
+        raise SettingsError(
+            f"cycle_s is {cycle_s:g}: a {krc} runs at {allowed} ms; change cycle_s or the robot's driver.krc"
+        )
+    return profile

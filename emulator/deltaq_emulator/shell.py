@@ -17,8 +17,7 @@ from functools import partial
 from deltaq_emulator.faults import FaultyLink, Forgery
 from deltaq_emulator.krc import Krc
 from deltaq_emulator.panel import Panel
-from deltaq_emulator.record_folder import RecordFolder
-from deltaq_emulator.recorder import CsvRecorder
+from deltaq_emulator.recorder import CsvRecorder, RecordFolder
 from deltaq_protocol.endpoint import Address
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.heartbeat import Heartbeat

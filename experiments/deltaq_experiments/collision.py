@@ -18,7 +18,7 @@ from deltaq_controllers.interface import Controller, HeldBack, RobotView, View
 from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.leader.attacking import TARGETS, AttackingLeader, HomingStick, staging_box
 from deltaq_controllers.leader.scripted import ScriptedLeader
-from deltaq_emulator.servo import Servo
+from deltaq_emulator.drives import Servo
 from deltaq_experiments.options import Options
 from deltaq_experiments.panels import Curve, FigurePanel, Marks
 from deltaq_experiments.report import ExperimentOutcome, Report

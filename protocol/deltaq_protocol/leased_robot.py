@@ -30,11 +30,10 @@ from deltaq_protocol.messages import (
     Verdict,
     ViewTarget,
 )
-from deltaq_protocol.newest import Newest
 from deltaq_protocol.proof import Prover
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.stamps import StampStation, stamps_if_asked
-from deltaq_protocol.wire import Wire
+from deltaq_protocol.wire import Newest, Wire
 
 # The verdicts on increments that a client sent without waiting, until it reads them.
 

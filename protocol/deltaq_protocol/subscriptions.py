@@ -14,9 +14,8 @@ from deltaq_protocol import topics
 from deltaq_protocol.codec import InvalidMessageError, unpack
 from deltaq_protocol.errors import RefusedError
 from deltaq_protocol.messages import Message, RobotState, Verdict
-from deltaq_protocol.newest import Newest
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_protocol.wire import Wire
+from deltaq_protocol.wire import Newest, Wire
 
 M = TypeVar("M", bound=Message)
 StateHolder = Newest[zenoh.Sample, RobotState]

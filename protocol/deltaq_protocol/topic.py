@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import StrEnum
+from enum import IntEnum, StrEnum
 
 from deltaq_protocol.messages import Message
 
@@ -42,6 +42,32 @@ class Priority(StrEnum):
 
     URGENT = "urgent"
     ORDINARY = "ordinary"
+
+
+class ClientRole(IntEnum):
+    """The roles of clients; each may do everything that the roles before it may."""
+
+    OBSERVER = 1
+    """Look on, and stop."""
+    CONTROLLER = 2
+    """Acquire a free lease, and move its robot; ask a follower for another view."""
+    OPERATOR = 3
+    """Take a lease from its holder, reset, allow contacts."""
+
+
+@dataclass(frozen=True)
+class Right:
+    """What a client has to be for one action.
+
+    Attributes:
+        what: the action, if the topic has several; otherwise empty.
+        least: the least role that may do it. Where no tokens are set everybody is an operator.
+        of_holder: only the holder of the robot's lease may do it, in any role.
+    """
+
+    what: str = ""
+    least: ClientRole = ClientRole.OBSERVER
+    of_holder: bool = False
 
 
 @dataclass(frozen=True)
@@ -113,6 +139,7 @@ class Topic:
         priority: how urgent it is.
         recorded: whether a recording holds it. Nobody else receives messages between a client and the HLI; a
             recording has the messages that the HLI makes of them in the guarded realm.
+        rights: which clients may say or hear it; none on topics without clients.
     """
 
     name: str
@@ -128,11 +155,20 @@ class Topic:
     max_age_s: float | None = None
     priority: Priority = Priority.URGENT
     recorded: bool = True
+    rights: tuple[Right, ...] = ()
 
     def key(self, cell: str, **fields: str) -> str:
         """The key of one cell and robot or service; a field not given becomes the wildcard `*`."""
         wanted = {"robot": "*", "service": "*"} | fields
         return self.template.format(cell=cell, **wanted)
+
+    def least_role(self, what: str = "") -> ClientRole:
+        """The least role of a client that may do something on this topic.
+
+        Raises:
+            KeyError: if the table has no such action.
+        """
+        return {right.what: right.least for right in self.rights}[what]
 
     def period_s(self, cycle_s: float) -> float:
         """Time from one message to the next [s].

@@ -1,7 +1,7 @@
-"""The table of topics: key, message, rate, greatest age, priority, who publishes, who reads, and what is recorded.
+"""The table of topics: key, message, answer, rate, greatest age, priority, who publishes, reads, may and records it.
 
-Publishers' pace and priority, what is too old to act upon, what counts as lagging, access to the sessions, the
-recorder, `deltaq hz`, the documentation and the tests all follow from this table.
+Publishers' pace and priority, what is too old to act upon, what counts as lagging, access to the sessions, what the HLI
+does for a client of which role, the recorder, `deltaq hz`, the documentation and the tests all follow from this table.
 
 Where the cell's `gate` bounds an age in seconds too (`max_request_age_s`), the lesser of the two decides.
 """
@@ -9,7 +9,19 @@ Where the cell's `gate` bounds an age in seconds too (`max_request_age_s`), the 
 from __future__ import annotations
 
 from deltaq_protocol import audit, guarded, messages
-from deltaq_protocol.topic import Cycles, Hertz, Kind, Messages, Party, Priority, Realm, Topic
+from deltaq_protocol.messages import LeaseAction
+from deltaq_protocol.topic import (
+    ClientRole,
+    Cycles,
+    Hertz,
+    Kind,
+    Messages,
+    Party,
+    Priority,
+    Realm,
+    Right,
+    Topic,
+)
 
 _OPEN = "deltaq/{cell}/"
 _GUARDED = "deltaq-guarded/{cell}/"
@@ -19,62 +31,82 @@ _AT_MOST_EVERY_CYCLE = Cycles(1, steady=False)
 _CLIENT, _HLI, _SIM, _ROBOT_SERVER, _WATCHER = (
     (Party.CLIENT,), (Party.HLI,), (Party.SIM,), (Party.ROBOT_SERVER,), (Party.WATCHER,),
 )  # fmt: skip
+_ANYBODY = (Right(),)
+_CONTROLLER, _OPERATOR = (Right(least=ClientRole.CONTROLLER),), (Right(least=ClientRole.OPERATOR),)
 
 STATE = Topic(
     "state", Realm.OPEN, Kind.STREAM, _OPEN + "{robot}/state", messages.RobotState,
     publishers=_HLI, readers=_CLIENT, rate=_EVERY_CYCLE,
+    rights=_ANYBODY,
 )  # fmt: skip
 INCREMENT = Topic(
     "increment", Realm.OPEN, Kind.STREAM, _OPEN + "{robot}/increment", messages.Increment,
     publishers=_CLIENT, readers=_HLI, rate=_AT_MOST_EVERY_CYCLE, max_age_cycles=10, recorded=False,
+    rights=(Right(of_holder=True),),
 )  # fmt: skip
 VERDICT = Topic(
     "verdict", Realm.OPEN, Kind.STREAM, _OPEN + "{robot}/verdict", messages.Verdict,
     publishers=_HLI, readers=_CLIENT, rate=_AT_MOST_EVERY_CYCLE,
+    rights=_ANYBODY,
 )  # fmt: skip
 LEASE = Topic(
     "lease", Realm.OPEN, Kind.QUERY, _OPEN + "{robot}/lease", messages.LeaseRequest,
     publishers=_CLIENT, readers=_HLI, reply=messages.LeaseReply, recorded=False,
+    rights=(
+        Right(LeaseAction.RENEW, of_holder=True), Right(LeaseAction.RELEASE, of_holder=True),
+        Right(LeaseAction.ACQUIRE, ClientRole.CONTROLLER), Right(LeaseAction.TAKE, ClientRole.OPERATOR),
+    ),
 )  # fmt: skip
 IO = Topic(
     "io", Realm.OPEN, Kind.QUERY, _OPEN + "{robot}/io", messages.IoRequest,
     publishers=_CLIENT, readers=_HLI, reply=messages.IoReply, recorded=False,
+    rights=(Right("read"), Right("set", of_holder=True)),
 )  # fmt: skip
+"""Outputs of a robot that nobody holds may also be set by anybody where no controller's token is set."""
 PROXIMITY = Topic(
     "proximity", Realm.OPEN, Kind.STREAM, _OPEN + "proximity", messages.Proximity,
     publishers=_HLI, readers=_CLIENT, rate=Hertz(10.0), priority=Priority.ORDINARY,
+    rights=_ANYBODY,
 )  # fmt: skip
 STOP = Topic(
     "stop", Realm.OPEN, Kind.QUERY, _OPEN + "stop", messages.StopRequest,
     publishers=_CLIENT, readers=_HLI, reply=messages.Done, recorded=False,
+    rights=_ANYBODY,
 )  # fmt: skip
 RESET = Topic(
     "reset", Realm.OPEN, Kind.QUERY, _OPEN + "reset", messages.ResetRequest,
     publishers=_CLIENT, readers=_HLI, reply=messages.Done, recorded=False,
+    rights=_OPERATOR,
 )  # fmt: skip
 DRY_RUN = Topic(
     "dry-run", Realm.OPEN, Kind.QUERY, _OPEN + "{robot}/dry-run", messages.DryRunRequest,
     publishers=_CLIENT, readers=_HLI, reply=messages.DryRunReply, recorded=False,
+    rights=_ANYBODY,
 )  # fmt: skip
 VIEW = Topic(
     "view", Realm.OPEN, Kind.QUERY, _OPEN + "{robot}/view", messages.ViewRequest,
     publishers=_CLIENT, readers=_HLI, reply=messages.ViewReply, recorded=False,
+    rights=_CONTROLLER,
 )  # fmt: skip
 CHALLENGE = Topic(
     "challenge", Realm.OPEN, Kind.QUERY, _OPEN + "challenge", messages.ChallengeRequest,
     publishers=_CLIENT, readers=_HLI, reply=messages.Challenge, recorded=False,
+    rights=_ANYBODY,
 )  # fmt: skip
 CONTACT = Topic(
     "contact", Realm.OPEN, Kind.QUERY, _OPEN + "contact", messages.ContactRequest,
     publishers=_CLIENT, readers=_HLI, reply=messages.Done, recorded=False,
+    rights=_OPERATOR,
 )  # fmt: skip
 DESCRIPTION = Topic(
     "description", Realm.OPEN, Kind.QUERY, _OPEN + "description", messages.DescribeRequest,
     publishers=_CLIENT, readers=_HLI, reply=messages.Description, priority=Priority.ORDINARY, recorded=False,
+    rights=_ANYBODY,
 )  # fmt: skip
 STATUS = Topic(
     "status", Realm.OPEN, Kind.QUERY, _OPEN + "status", messages.DescribeRequest,
     publishers=_CLIENT, readers=_HLI, reply=messages.Status, priority=Priority.ORDINARY, recorded=False,
+    rights=_ANYBODY,
 )  # fmt: skip
 
 SERVER_STATE = Topic(

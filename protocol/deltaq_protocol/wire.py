@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import threading
+import time
 from collections.abc import Callable
-from typing import Any
+from functools import partial
+from typing import Any, Generic, TypeVar
 
 import zenoh
 
+from deltaq_protocol import topics
 from deltaq_protocol.codec import InvalidMessageError, pack, unpack
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
-from deltaq_protocol.in_order import in_order
-from deltaq_protocol.messages import Error, Message
-from deltaq_protocol.newest import Newest
-from deltaq_protocol.served_in_loop import ServedInLoop
+from deltaq_protocol.inbox import ServedInLoop
+from deltaq_protocol.messages import Challenge, ChallengeRequest, Error, Message
+from deltaq_protocol.role_prover import RoleProver
 from deltaq_protocol.session import declare_publisher, sending
 from deltaq_protocol.topic import Topic
 
@@ -148,3 +151,157 @@ class Wire:
     def close(self) -> None:
         """Stop listening, and close the session."""
         self._served.close()
+
+
+# The newest value of a stream: a slow reader skips values, nothing queues, and unread values are not decoded.
+
+S = TypeVar("S")
+T = TypeVar("T")
+
+
+class Newest(Generic[S, T]):
+    """The newest value, and a way to await a newer one: in the event loop, or in any other thread.
+
+    A sample is decoded when it is read, once. The loop is woken only while somebody in it awaits.
+
+    Args:
+        loop: in which `after` is awaited.
+        decode: the value of a sample; None if it has none: then the value before it stands.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, decode: Callable[[S], T | None]) -> None:
+        self._loop = loop
+        self._decode = decode
+        self._value: T | None = None
+        self._version = 0
+        self._sample: S | None = None
+        self._count = 0
+        self._awaiting = 0
+        self._is_waking = False
+        self._changed = asyncio.Event()
+        self._in_threads = threading.Condition()
+
+    def put(self, sample: S) -> None:
+        """Put a newer sample; any thread may."""
+        with self._in_threads:
+            self._sample = sample
+            self._count += 1
+            self._in_threads.notify_all()
+        # who begins to await now reads first, and finds the sample
+        if self._awaiting and not self._is_waking:
+            self._is_waking = True
+            with contextlib.suppress(RuntimeError):  # in a loop that has ended nobody awaits
+                self._loop.call_soon_threadsafe(self._wake)
+
+    @property
+    def value(self) -> T | None:
+        """The newest value, None before the first."""
+        return self.read()[0]
+
+    def read(self) -> tuple[T | None, int]:
+        """The newest value, None before the first, and its version: how many samples there had been with it."""
+        with self._in_threads:
+            if self._sample is not None:
+                sample, self._sample = self._sample, None
+                value = self._decode(sample)
+                if value is not None:
+                    self._value, self._version = value, self._count
+            return self._value, self._version
+
+    async def after(self, version: int, deadline_s: float) -> tuple[T, int]:
+        """The newest value and its version, as soon as there is one beyond `version`.
+
+        Raises:
+            TimeoutError: none came within the deadline.
+        """
+        self._awaiting += 1
+        try:
+            value, newest = self.read()
+            if value is not None and newest > version:
+                return value, newest
+            async with asyncio.timeout(deadline_s):
+                while value is None or newest <= version:
+                    await self._changed.wait()
+                    value, newest = self.read()
+                return value, newest
+        finally:
+            self._awaiting -= 1
+
+    def wait_after(self, version: int, deadline_s: float) -> tuple[T, int]:
+        """`after` for any thread but the loop's; it waits itself."""
+        give_up_s = time.monotonic() + deadline_s
+        with self._in_threads:
+            while True:
+                value, newest = self.read()
+                if value is not None and newest > version:
+                    return value, newest
+                if not self._in_threads.wait(max(0.0, give_up_s - time.monotonic())):
+                    raise TimeoutError
+
+    def _wake(self) -> None:
+        self._is_waking = False
+        self._changed.set()
+        self._changed.clear()  # present waiters are woken; later ones wait for the next sample
+
+
+def in_order(put: Callable[[zenoh.Sample], None]) -> Callable[[zenoh.Sample], None]:
+    """Pass samples of one stream on to `put`, except a sample that comes after a newer one of its publisher.
+
+    Zenoh's time stamps show the order; sessions with a datagram link set them. Samples without a stamp come in order.
+    """
+    newest: zenoh.Timestamp | None = None
+
+    def put_if_newer(sample: zenoh.Sample) -> None:
+        nonlocal newest
+        published = sample.timestamp
+        if published is not None:
+            if (
+                newest is not None
+                and published.get_id() == newest.get_id()
+                and published.get_time() < newest.get_time()
+            ):
+                return
+            newest = published
+        put(sample)
+
+    return put_if_newer
+
+
+M = TypeVar("M", bound=Message)
+
+
+class Asking:
+    """Asks the server of a cell; `robot` where the topic's key has one.
+
+    Args:
+        wire: to the server.
+        cell: name of the cell.
+        role: shows the client's role; None if it has none to show.
+    """
+
+    def __init__(self, wire: Wire, cell: str, role: RoleProver | None) -> None:
+        self._wire = wire
+        self._cell = cell
+        self._role = role
+
+    async def ask(self, answer: type[M], topic: Topic, request: Message, robot: str = "") -> M:
+        """Ask for what anybody may.
+
+        Raises:
+            RefusedError: the server refused the request.
+            ServiceUnreachableError: no answer in time.
+        """
+        return unpack(answer, await self._wire.ask(topic, self._cell, request, robot))
+
+    async def ask_with_role(self, answer: type[M], topic: Topic, request: Message, robot: str = "") -> M:
+        """Ask for what a role may; the token or identity, where there is one, answers a challenge and is not sent.
+
+        Raises:
+            RefusedError: the server refused the request.
+            ServiceUnreachableError: no answer in time.
+        """
+        prove = None
+        if self._role is not None:
+            challenge = await self.ask(Challenge, topics.CHALLENGE, ChallengeRequest())
+            prove = partial(self._role.prove, nonce=bytes.fromhex(challenge.challenge))
+        return unpack(answer, await self._wire.ask(topic, self._cell, request, robot, prove=prove))

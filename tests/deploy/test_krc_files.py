@@ -18,10 +18,9 @@ from deltaq_deploy.command.app import app
 from deltaq_deploy.krc import KrcFilesError, KrcPlan, Start, files_of, plan_for, write_files
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.rsi import AxisMap
-from deltaq_protocol.rsi.context import parse_context
 from deltaq_protocol.rsi.ethernet_xml import EthernetConfig, parse_ethernet_xml
 from deltaq_protocol.rsi.judge import Station, judge
-from deltaq_protocol.rsi.judge_program import judge_context, judge_program
+from deltaq_protocol.rsi.judge_program import judge_context, judge_program, parse_context
 
 SHIPPED = Path(deltaq_deploy.__file__).parent / "krc"
 CELLS = [

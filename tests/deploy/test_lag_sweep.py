@@ -10,7 +10,7 @@ from deltaq_cell.description import ServoLag
 from deltaq_cell.drive_lag import modelled_lag
 from deltaq_cell.load import load_cell
 from deltaq_deploy.rsi.lag_sweep import DrivenSweep, measured_axis, motions
-from deltaq_emulator.servo import Servo
+from deltaq_emulator.drives import Servo
 
 GR, FR = (load_cell("lab").robots[name] for name in ("gr", "fr"))
 SWINGING = ServoLag(dead_time_s=0.058, natural_frequency_rad_s=40.0, damping=0.5)

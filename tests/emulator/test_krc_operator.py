@@ -15,10 +15,8 @@ from deltaq_emulator.catalogue import TEXTS, Code, KrcMessage
 from deltaq_emulator.faults import FaultyLink
 from deltaq_emulator.krc import START_CYCLES
 from deltaq_emulator.panel import MAX_AWAITED, Panel
-from deltaq_emulator.profiles import profile_for
-from deltaq_emulator.record_folder import RecordFolder
-from deltaq_emulator.recorder import CsvRecorder
-from deltaq_emulator.settings import KrcSettings, OperatingMode, SettingsError
+from deltaq_emulator.recorder import CsvRecorder, RecordFolder
+from deltaq_emulator.settings import KrcSettings, OperatingMode, SettingsError, profile_for
 from deltaq_emulator.states import TRANSITIONS, KrcEvent, KrcState, NotNowError, after
 
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deltaq_emulator.late_budget import FIELD_OF_VIEW, LateBudget
+from deltaq_emulator.settings import FIELD_OF_VIEW, LateBudget
 
 
 def exceeded_after(budget: LateBudget, cycles: list[bool]) -> int | None:

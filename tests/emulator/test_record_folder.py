@@ -16,11 +16,10 @@ import pytest
 from krc_bench import Bench
 
 from deltaq_deploy.launch.private_cell import free_ports, write_private_cell
-from deltaq_emulator import record_folder
+from deltaq_emulator import recorder as record_folder
 from deltaq_emulator.faults import FaultyLink
 from deltaq_emulator.panel import Panel
-from deltaq_emulator.record_folder import RecordError, RecordFolder
-from deltaq_emulator.recorder import CsvRecorder
+from deltaq_emulator.recorder import CsvRecorder, RecordError, RecordFolder
 
 
 class Asked:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from deltaq_cell.description import ServoLag
 from deltaq_cell.drive_lag import transition
-from deltaq_emulator.servo import Servo
+from deltaq_emulator.drives import Servo
 
 T = 0.004
 

@@ -9,7 +9,7 @@ import threading
 import pytest
 
 from deltaq_protocol.inbox import ClientInbox
-from deltaq_protocol.newest import Newest
+from deltaq_protocol.wire import Newest
 
 
 def flood(inbox: ClientInbox[int], items: int) -> None:

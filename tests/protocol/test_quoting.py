@@ -10,9 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deltaq_protocol import messages
-from deltaq_protocol.codec import InvalidMessageError, from_map
+from deltaq_protocol.codec import InvalidMessageError, from_map, kind_of, place, quoted, shown
 from deltaq_protocol.messages import Challenge, Hello, Increment, LeaseReply, LeaseRequest, Message
-from deltaq_protocol.quoting import kind_of, place, quoted, shown
 
 SECRET = "5ecre7-0123456789abcdef"
 WITH_A_SECRET = {

@@ -9,10 +9,9 @@ import pytest
 
 import deltaq_deploy
 from deltaq_protocol.rsi import AxisMap, EthernetConfig, EthernetConfigError
-from deltaq_protocol.rsi.context import parse_context
 from deltaq_protocol.rsi.ethernet_xml import parse_ethernet_xml
 from deltaq_protocol.rsi.judge import Finding, Station, judge
-from deltaq_protocol.rsi.judge_program import judge_context, judge_program
+from deltaq_protocol.rsi.judge_program import judge_context, judge_program, parse_context
 
 GANTRY = (Path(deltaq_deploy.__file__).parent / "krc" / "gr_ethernet.xml").read_text(encoding="utf-8")
 AXES = AxisMap(("e1", "e2", "e3", *(f"a{i}" for i in range(1, 7))), ("m",) * 3 + ("rad",) * 6, "krc2")

@@ -23,8 +23,7 @@ from deltaq_protocol.rsi import (
     TelegramError,
 )
 from deltaq_protocol.rsi.ethernet_xml import parse_ethernet_xml
-from deltaq_protocol.rsi.krc_codec import SensorTelegram
-from deltaq_protocol.rsi.pose import pose_from_matrix
+from deltaq_protocol.rsi.krc_codec import SensorTelegram, pose_from_matrix
 
 ARM = tuple(f"a{i}" for i in range(1, 7))
 NINE = ("e1", "e2", "e3", *ARM)

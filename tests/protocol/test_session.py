@@ -20,9 +20,9 @@ import zenoh
 from small_cell import endpoint
 
 from deltaq_protocol.errors import ServiceUnreachableError
-from deltaq_protocol.in_order import in_order
 from deltaq_protocol.session import MAX_SESSIONS, declare_publisher, open_session, subscribe_newest
 from deltaq_protocol.topic import Priority
+from deltaq_protocol.wire import in_order
 
 
 class Heard:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from krc_side import AXES, CELL, FR, XML, telegram
 
 from deltaq_protocol.rsi import load_ethernet_xml
-from deltaq_protocol.rsi.usual_telegram import usual_telegram
+from deltaq_protocol.rsi.layout import usual_telegram
 from deltaq_services.robot_server.rsi_driver import sensor_codec
 
 CODEC = sensor_codec(CELL, "fr", XML)

@@ -17,9 +17,9 @@ from deltaq_protocol import connect
 from deltaq_protocol.certified.authority import Authority
 from deltaq_protocol.certified.certificate import now_utc
 from deltaq_protocol.certified.names import AUTHORITY_FILE, CLIENT_IDENTITY, IDENTITY, IdentityError
-from deltaq_protocol.client_rights import ClientRole
 from deltaq_protocol.errors import RefusedError
 from deltaq_protocol.given_token import GivenTokenError
+from deltaq_protocol.topic import ClientRole
 from deltaq_services.hli.client_roles import client_roles
 from deltaq_services.hli.line_encryption import line_encryption
 from deltaq_services.service_identity import authority_of_clients

@@ -15,9 +15,9 @@ from deltaq_protocol.certified.certificate import check_issued, now_utc
 from deltaq_protocol.certified.identity import Identity
 from deltaq_protocol.certified.names import IdentityError
 from deltaq_protocol.certified.signed import MAX_SIGNED_BYTES, IdentityProver, Signed
-from deltaq_protocol.client_rights import ClientRole
 from deltaq_protocol.codec import MAX_MESSAGE_BYTES
 from deltaq_protocol.proof import MAX_PROOF_BYTES, Prover
+from deltaq_protocol.topic import ClientRole
 from deltaq_services.hli.authentication import GOOD_FOR_S, Authentication
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.leases import Leases

@@ -4,9 +4,9 @@ import itertools
 
 import pytest
 from small_cell import server_state, small_cell, told, tool_pose
+from table import change_row
 
-from deltaq_protocol import client_rights, topics
-from deltaq_protocol.client_rights import RIGHTS, ClientRole, least_role
+from deltaq_protocol import topics
 from deltaq_protocol.messages import (
     ContactRequest,
     DryRunRequest,
@@ -20,7 +20,7 @@ from deltaq_protocol.messages import (
     ViewRequest,
 )
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_protocol.topic import Party, Realm
+from deltaq_protocol.topic import ClientRole, Party, Realm, Right
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.core import HliCore
 from deltaq_services.outputs import ClientOrigin, Sender, ToSender
@@ -43,8 +43,8 @@ class Asker(Sender):
         raise AssertionError("the core only hands it back")
 
 
-def request_of(right, token):
-    match right.topic.name, right.what:
+def request_of(topic, what, token):
+    match topic.name, what:
         case "lease", action:
             return LeaseRequest(robot="gr", action=action, token=token)
         case "reset", _:
@@ -62,42 +62,44 @@ def request_of(right, token):
     return None
 
 
-ASKED = [right for right in RIGHTS if request_of(right, None) is not None]
+ASKED = [
+    (topic, right)
+    for topic in topics.TOPICS
+    for right in topic.rights
+    if request_of(topic, right.what, None) is not None
+]
 
 
-def is_refused(right, token, identity):
+def is_refused(topic, what, token, identity):
     """Whether a core refuses it for want of a right, to who holds no lease."""
     cell, names = small_cell(contacts=CONTACTS), (f"token-{k}" for k in itertools.count())
     roles = ClientRoles("operator", "controller")
     core = HliCore(cell, told(cell), tool_pose, lambda: next(names), 1000, roles)
     core.take(server_state("gr", 100), 50.0)
-    outputs = core.take(request_of(right, token), 50.0, Asker(identity))
+    outputs = core.take(request_of(topic, what, token), 50.0, Asker(identity))
     answers = [output.message for output in outputs if isinstance(output, ToSender)]
     return any(isinstance(answer, Error | LeaseReply) and answer.code in REFUSALS for answer in answers)
 
 
-@pytest.mark.parametrize("right", ASKED, ids=lambda right: f"{right.topic.name} {right.what}".strip())
+@pytest.mark.parametrize(
+    ("topic", "right"), ASKED, ids=[f"{topic.name} {right.what}".strip() for topic, right in ASKED]
+)
 @pytest.mark.parametrize("role", ClientRole)
-def test_who_may_is_not_refused_and_who_may_not_is(right, role):
+def test_who_may_is_not_refused_and_who_may_not_is(topic, right, role):
     wanted = right.of_holder or role < right.least
-    assert is_refused(right, TOKENS[role], "") == wanted
-    assert is_refused(right, None, IDENTITIES[role]) == wanted
+    assert is_refused(topic, right.what, TOKENS[role], "") == wanted
+    assert is_refused(topic, right.what, None, IDENTITIES[role]) == wanted
 
 
-def test_every_topic_of_a_client_has_a_row_and_every_row_a_topic_of_clients():
-    of_clients = {
-        topic.name
-        for topic in topics.TOPICS
-        if topic.realm is Realm.OPEN and Party.CLIENT in (*topic.publishers, *topic.readers)
-    }
-    assert {right.topic.name for right in RIGHTS} == of_clients
-    leases = {right.what for right in RIGHTS if right.topic is topics.LEASE}
-    assert leases == set(LeaseAction)
-    assert len({(right.topic.name, right.what) for right in RIGHTS}) == len(RIGHTS)
+def test_a_topic_has_rights_if_it_is_of_clients_and_each_action_once():
+    for topic in topics.TOPICS:
+        of_clients = topic.realm is Realm.OPEN and Party.CLIENT in (*topic.publishers, *topic.readers)
+        assert bool(topic.rights) == of_clients
+        assert len({right.what for right in topic.rights}) == len(topic.rights)
+    assert {right.what for right in topics.LEASE.rights} == set(LeaseAction)
 
 
 def test_another_row_changes_what_is_refused(monkeypatch):
-    right = next(right for right in RIGHTS if right.topic is topics.RESET)
-    assert least_role(topics.RESET) is ClientRole.OPERATOR
-    monkeypatch.setitem(client_rights._LEAST, (topics.RESET.name, ""), ClientRole.OBSERVER)
-    assert not is_refused(right, None, "")
+    assert topics.RESET.least_role() is ClientRole.OPERATOR
+    change_row(monkeypatch, "RESET", rights=(Right(least=ClientRole.OBSERVER),))
+    assert not is_refused(topics.RESET, "", None, "")

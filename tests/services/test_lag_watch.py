@@ -7,7 +7,7 @@ from remembered import remembered
 from deltaq_cell.description import ServoLag
 from deltaq_cell.drive_lag import modelled_lag
 from deltaq_cell.load import load_cell
-from deltaq_emulator.servo import Servo
+from deltaq_emulator.drives import Servo
 from deltaq_services.robot_server.lag_watch import LagWatch
 
 LAB, LAB_4MS = load_cell("lab"), load_cell("lab-4ms")

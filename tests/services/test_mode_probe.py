@@ -12,7 +12,7 @@ from remembered import remembered
 from deltaq_cell.description import RobotDescription, ServoLag
 from deltaq_cell.drive_lag import modelled_lag
 from deltaq_cell.load import load_cell
-from deltaq_emulator.servo import Servo
+from deltaq_emulator.drives import Servo
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.robot_server.mode_probe import (
     ADRIFT,

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from small_cell import small_cell
 
-from deltaq_protocol.client_rights import ClientRole
 from deltaq_protocol.given_token import GivenTokenError
+from deltaq_protocol.topic import ClientRole
 from deltaq_services.hli.client_roles import LEAST_CHARACTERS, ClientRoles, client_roles
 from deltaq_services.hli.line_encryption import LineEncryptionError, line_encryption
 from deltaq_services.rate_limit import MOST_TRIES_S, Tries

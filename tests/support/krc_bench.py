@@ -11,8 +11,7 @@ import numpy as np
 from deltaq_cell.description import JointDescription, RobotDescription, RsiDescription, ServoLag
 from deltaq_emulator.context import NOTHING, Context
 from deltaq_emulator.krc import Krc
-from deltaq_emulator.profiles import PROFILES
-from deltaq_emulator.settings import KrcSettings
+from deltaq_emulator.settings import PROFILES, KrcSettings
 from deltaq_protocol.rsi import AxisMap, EthernetConfig, KrcTelegram, SensorCodec
 from deltaq_protocol.rsi.ethernet_xml import parse_ethernet_xml
 

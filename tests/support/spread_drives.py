@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deltaq_emulator.servo import Servo
+from deltaq_emulator.drives import Servo
 
 
 class SpreadServo:

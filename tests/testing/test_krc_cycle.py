@@ -8,8 +8,7 @@ from deltaq_cell.description import ServoLag
 from deltaq_cell.robot import RobotModel
 from deltaq_emulator.faults import FaultyLink, LinkFaults
 from deltaq_emulator.krc import Krc
-from deltaq_emulator.profiles import PROFILES
-from deltaq_emulator.settings import KrcSettings
+from deltaq_emulator.settings import PROFILES, KrcSettings
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.rsi import load_ethernet_xml

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_emulator.recorder import CsvRecorder
-from deltaq_emulator.sample import Sample
+from deltaq_emulator.recorder import CsvRecorder, Sample
 from deltaq_emulator.states import KrcState
 from deltaq_testing.oracle import ClearanceOracle, PairDistances, limit_violations, record_cycle_s
 

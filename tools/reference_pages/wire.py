@@ -8,7 +8,6 @@ from enum import Enum
 from deltaq_protocol import audit
 from deltaq_protocol import messages as open_messages
 from deltaq_protocol import topics as table_of_topics
-from deltaq_protocol.client_rights import RIGHTS
 from deltaq_protocol.messages import LeaseAction, Message, Outcome, Phase, Sight
 from deltaq_protocol.reasons import EXPLANATIONS
 from deltaq_protocol.topic import Realm, Topic
@@ -23,11 +22,12 @@ def topics() -> str:
     """The table of topics, and who may use those of the open realm."""
     rights = (
         (
-            f"`{right.topic.name}`",
+            f"`{topic.name}`",
             right.what,
             "the holder of its lease" if right.of_holder else right.least.name.lower(),
         )
-        for right in RIGHTS
+        for topic in table_of_topics.TOPICS
+        for right in topic.rights
     )
     return "\n\n".join(
         [

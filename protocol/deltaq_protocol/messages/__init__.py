@@ -24,23 +24,9 @@ from deltaq_protocol.messages.base import (
     Secret,
     Vector3,
 )
-from deltaq_protocol.messages.description import (
-    CarriedFrame,
-    DescribeRequest,
-    Description,
-    Hello,
-    JointPlacement,
-    RobotKinematics,
-    RobotSummary,
-    Welcome,
-)
-from deltaq_protocol.messages.lease import (
-    LeaseAction,
-    LeaseReply,
-    LeaseRequest,
-)
 from deltaq_protocol.messages.motion import (
     MOST_EARLIER,
+    CameraDistance,
     EarlierIncrement,
     Increment,
     Outcome,
@@ -48,38 +34,44 @@ from deltaq_protocol.messages.motion import (
     Playout,
     Reason,
     RobotState,
-    ToolPose,
-    Verdict,
-)
-from deltaq_protocol.messages.requests import (
-    Challenge,
-    ChallengeRequest,
-    ContactRequest,
-    Done,
-    DryRunReply,
-    DryRunRequest,
-    Error,
-    IoReply,
-    IoRequest,
-    ResetRequest,
-    StopRequest,
-)
-from deltaq_protocol.messages.status import (
-    LeaseStatus,
-    NearestPair,
-    Proximity,
-    RobotStatus,
-    Status,
-)
-from deltaq_protocol.messages.view import (
-    CameraDistance,
     Sight,
     TargetCoordinate,
     TargetPoint,
+    ToolPose,
+    Verdict,
     ViewReply,
     ViewRequest,
     ViewTarget,
     ViewWish,
+)
+from deltaq_protocol.messages.requests import (
+    CarriedFrame,
+    Challenge,
+    ChallengeRequest,
+    ContactRequest,
+    DescribeRequest,
+    Description,
+    Done,
+    DryRunReply,
+    DryRunRequest,
+    Error,
+    Hello,
+    IoReply,
+    IoRequest,
+    JointPlacement,
+    LeaseAction,
+    LeaseReply,
+    LeaseRequest,
+    LeaseStatus,
+    NearestPair,
+    Proximity,
+    ResetRequest,
+    RobotKinematics,
+    RobotStatus,
+    RobotSummary,
+    Status,
+    StopRequest,
+    Welcome,
 )
 
 __all__ = [

@@ -31,7 +31,7 @@ Count = Annotated[int, Field(ge=0, lt=2**63)]
 MOST_COUNTED_ON = 2**62
 """Ids and epochs from which somebody counts on are below it: no message brings such a count to its end."""
 Secret = Annotated[str | None, Field(repr=False)]
-"""A token: neither shown nor quoted, see `deltaq_protocol.quoting`."""
+"""A token: neither shown nor quoted, see `deltaq_protocol.codec`."""
 
 
 class Message(BaseModel):

@@ -1,14 +1,169 @@
-"""Questions that are no lease, and their answers."""
+"""What a client is told and may ask for: the description of the cell, leases, requests and their answers, the status."""
 
 from __future__ import annotations
 
+from enum import StrEnum
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from deltaq_protocol.messages.base import Joints, Message, Name, Secret
-from deltaq_protocol.messages.motion import Verdict
+from deltaq_protocol.messages.base import (
+    PROTOCOL_VERSION,
+    Count,
+    Joints,
+    Message,
+    Name,
+    PoseRows,
+    Real,
+    Secret,
+    Vector3,
+)
+from deltaq_protocol.messages.motion import Phase, Verdict
 from deltaq_protocol.reasons import ReasonCode
+
+# What a client is told first: the cell and its robots.
+
+
+class Hello(Message):
+    """The name and role of a TCP client; only a `challenge` and a stop may come before it.
+
+    `proof` proves a token without sending it: HMAC-SHA256 with the token over `deltaq hello ` and `challenge`, in
+    hexadecimal digits. The server gave the challenge, on this connection or another. Over TLS `token` does as well.
+    """
+
+    type: Literal["hello"] = "hello"
+    protocol: int
+    client: str = Field(min_length=1, max_length=64)
+    token: Secret = None
+    challenge: Annotated[str | None, Field(max_length=128, pattern=r"^([0-9a-f]{2})+$", repr=False)] = None
+    proof: Annotated[str | None, Field(pattern=r"^[0-9a-f]{64}$", repr=False)] = None
+
+
+class DescribeRequest(Message):
+    """Ask for the cell's description."""
+
+    type: Literal["describe"] = "describe"
+
+
+class RobotSummary(Message):
+    """Summary of a robot for a controller: names, units, limits and home in joint order, SI units."""
+
+    joints: tuple[str, ...]
+    units: tuple[Literal["rad", "m"], ...]
+    lower: Joints
+    upper: Joints
+    max_velocity: Joints
+    max_acceleration: Joints
+    max_increment: Joints
+    home: Joints = ()
+
+
+class Welcome(Message):
+    """Answer to a hello."""
+
+    type: Literal["welcome"] = "welcome"
+    protocol: int = PROTOCOL_VERSION
+    cell: str
+    cycle_s: Real
+    robots: dict[str, RobotSummary]
+    identity: str = ""
+
+
+class JointPlacement(Message):
+    """The placement of a joint on its parent: the pose of the moved link is `T_world_parent T_parent_joint motion(q)`.
+
+    The motion is a rotation by `q` about `axis`, or a displacement by `q` along it; the unit in the robot's summary
+    says which. `parent` is the index of another joint in the order, from 0; a joint of parent -1 is placed in the
+    world.
+    """
+
+    parent: int = Field(ge=-1)
+    T_parent_joint: PoseRows
+    axis: Vector3
+
+
+class CarriedFrame(Message):
+    """Pose of a frame in its parent joint. Joints are numbered from 0; -1 is the world."""
+
+    joint: int = Field(ge=-1)
+    T_joint_frame: PoseRows
+
+
+class RobotKinematics(Message):
+    """A robot's kinematics in joint order, and what it carries: `tool`, `camera` if it has one, and its hands.
+
+    A camera looks along its z axis, and its x axis points up in the picture.
+    """
+
+    joints: tuple[JointPlacement, ...]
+    frames: dict[str, CarriedFrame]
+
+
+class Description(Message):
+    """Everything a client needs to model the cell: the YAML text, each robot's URDF text, and its hulls.
+
+    `kinematics` holds, by robot, what follows from YAML and URDF, for a client that reads neither. `hulls` holds the
+    hulls by which the gate replaces the collision meshes of a URDF: by robot and body, the corners of a convex hull in
+    the frame of the body [m]. Visual meshes are not sent. `identity` is the cell's name and hash
+    (`deltaq_protocol.identity`); a client that has a file of the cell compares it with its own.
+    """
+
+    type: Literal["description"] = "description"
+    protocol: int = PROTOCOL_VERSION
+    cell: str
+    cycle_s: Real
+    robots: dict[str, RobotSummary]
+    yaml: str
+    urdf: dict[str, str]
+    hulls: dict[str, dict[str, tuple[Vector3, ...]]] = {}
+    kinematics: dict[str, RobotKinematics] = {}
+    identity: str = ""
+
+
+# Leases: the right to move a robot.
+
+
+class LeaseAction(StrEnum):
+    """Actions on the lease of a robot; `take` is a hand-over against the holder's will."""
+
+    ACQUIRE = "acquire"
+    RENEW = "renew"
+    RELEASE = "release"
+    TAKE = "take"
+
+
+class LeaseRequest(Message):
+    """Ask for the right to write to a robot: one writer a robot, any number of readers.
+
+    `take` needs the operator where the HLI has been given the operator's token. `token` and `lease` are never sent, and
+    not read if they are: over zenoh proofs stand for them (`deltaq_protocol.proof`), over TCP the hello and the
+    connection.
+
+    `playout` is for a controller that is far away: increments wait for their turn (`Playout`).
+    """
+
+    type: Literal["lease"] = "lease"
+    robot: Name
+    action: LeaseAction
+    playout: bool = False
+    client: str | None = Field(default=None, max_length=64)
+    lease: Secret = None
+    token: Secret = None
+
+
+class LeaseReply(Message):
+    """Whether the lease was granted, its present holder, and the token: the secret that the holder proves to have.
+
+    The token comes once, to the client that was granted the lease, and never over TCP.
+    """
+
+    type: Literal["lease"] = "lease"
+    robot: Name
+    granted: bool
+    holder: str | None = None
+    expires_s: Real | None = None
+    lease: Secret = None
+    code: ReasonCode | None = None
 
 
 class StopRequest(Message):
@@ -119,3 +274,66 @@ class Error(Message):
     request: str | None = None
     robot: str | None = None
     seq: int | None = None
+
+
+# The running cell.
+
+
+class NearestPair(Message):
+    """Two bodies, their distance and the witness points in world coordinates [m]."""
+
+    pair: tuple[str, str]
+    distance_m: Real
+    points_m: tuple[Vector3, Vector3]
+
+
+class Proximity(Message):
+    """The nearest pairs of the cell, nearest first; published at a reduced rate."""
+
+    type: Literal["proximity"] = "proximity"
+    time_s: Real
+    pairs: tuple[NearestPair, ...]
+
+
+class LeaseStatus(Message):
+    """The holder of a robot's lease."""
+
+    holder: str | None = None
+    expires_s: Real | None = None
+    epoch: Count = 0
+
+
+class RobotStatus(Message):
+    """One robot as `deltaq status` shows it; `lag_s` is the measured lag of each axis, null where it is not known."""
+
+    phase: Phase
+    reason: ReasonCode | None
+    cycle: Count
+    state_age_s: Real | None
+    q: tuple[Real, ...]
+    lease: LeaseStatus
+    counters: dict[str, Count]
+    lag_s: tuple[Real | None, ...] = ()
+
+
+class Status(Message):
+    """The running cell as `deltaq status` shows it.
+
+    `contacts` has the contacts that are allowed now; `lagging` names the streams that are silent, or slower than the
+    table of topics requires. `identity` is the cell's name and hash, and `mismatches` names the services that have read
+    another cell.
+    """
+
+    type: Literal["status"] = "status"
+    cell: str
+    protocol: int = PROTOCOL_VERSION
+    robots: dict[str, RobotStatus]
+    gate: dict[str, Count]
+    gate_age_s: Real | None
+    gate_fingerprint: str = ""
+    contacts: tuple[str, ...] = ()
+    hli: dict[str, Count]
+    nearest: NearestPair | None = None
+    lagging: tuple[str, ...] = ()
+    identity: str = ""
+    mismatches: tuple[str, ...] = ()

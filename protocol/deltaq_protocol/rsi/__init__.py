@@ -4,8 +4,7 @@
 `*_ethernet.xml` that the controller loads, and both speak rad and m to their callers.
 """
 
-from deltaq_protocol.rsi.axes import AxisMap
-from deltaq_protocol.rsi.errors import EthernetConfigError, TelegramError
+from deltaq_protocol.rsi.axes import AxisMap, EthernetConfigError, TelegramError
 from deltaq_protocol.rsi.ethernet_xml import Element, ElementType, EthernetConfig, load_ethernet_xml
 from deltaq_protocol.rsi.krc_codec import KrcCodec, KrcReport, SensorTelegram
 from deltaq_protocol.rsi.sensor_codec import KrcTelegram, SensorCodec

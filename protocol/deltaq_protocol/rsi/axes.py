@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.rsi.errors import EthernetConfigError
+from deltaq_protocol.errors import DeltaqError, ProtocolError
 
 KrcGeneration = Literal["krc2", "krc4"]
 JointUnit = Literal["rad", "m"]
@@ -85,3 +85,11 @@ class AxisMap:
         """(n,) deg or mm (or what a KR C2 makes of it) of a reported position per rad or m."""
         linear = MM_PER_M * DEG_PER_RAD if self.krc == "krc2" else MM_PER_M
         return np.array([DEG_PER_RAD if unit == "rad" else linear for unit in self.units])
+
+
+class EthernetConfigError(DeltaqError):
+    """A `*_ethernet.xml` that cannot be used; the message names file, element, value and what is allowed."""
+
+
+class TelegramError(ProtocolError):
+    """A datagram that is no telegram of this configuration, or a value that no telegram can carry."""

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from deltaq_protocol.rsi.axes import ARM_AXES, EXTERNAL_AXES, POSE_AXES
-from deltaq_protocol.rsi.errors import EthernetConfigError
+from deltaq_protocol.rsi.axes import ARM_AXES, EXTERNAL_AXES, POSE_AXES, EthernetConfigError
 from deltaq_protocol.xml_text import xml_text
 
 MAX_CHANNEL = 64

@@ -11,8 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 from deltaq_protocol.errors import Severity
-from deltaq_protocol.rsi.axes import AxisMap
-from deltaq_protocol.rsi.errors import EthernetConfigError
+from deltaq_protocol.rsi.axes import AxisMap, EthernetConfigError
 from deltaq_protocol.rsi.ethernet_xml import ElementType, EthernetConfig
 from deltaq_protocol.rsi.layout import correction_fields
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
@@ -12,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.rsi.axes import DEG_PER_RAD, MM_PER_M, POSE_AXES, AxisMap
-from deltaq_protocol.rsi.errors import TelegramError
+from deltaq_protocol.rsi.axes import DEG_PER_RAD, MM_PER_M, POSE_AXES, AxisMap, TelegramError
 from deltaq_protocol.rsi.ethernet_xml import ElementType, EthernetConfig
 from deltaq_protocol.rsi.layout import (
     MAX_IPOC,
@@ -305,3 +305,13 @@ def _with_xml_names(markup: re.Match[bytes]) -> bytes:
 
 def _ipoc_error(text: str) -> TelegramError:
     return TelegramError(f"IPOC is {text[:20]!r}, allowed is a number of 32 bit")
+
+
+def pose_from_matrix(T: Array) -> tuple[float, float, float, float, float, float]:
+    """X, Y, Z [m] and A, B, C [rad] of a (4, 4) transform; where B is ±90 degrees, C is 0."""
+    (r11, r12, _, x), (r21, r22, _, y), (r31, r32, r33, z), _ = T.tolist()
+    level = math.hypot(r11, r21)
+    b = math.atan2(-r31, level)
+    if level > 1e-9:
+        return x, y, z, math.atan2(r21, r11), b, math.atan2(r32, r33)
+    return x, y, z, math.atan2(-r12, r22), b, 0.0

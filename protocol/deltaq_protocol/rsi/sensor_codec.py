@@ -16,8 +16,14 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.rsi.axes import DEG_PER_RAD, MM_PER_M, POSE_AXES, AxisMap
-from deltaq_protocol.rsi.errors import EthernetConfigError, TelegramError
+from deltaq_protocol.rsi.axes import (
+    DEG_PER_RAD,
+    MM_PER_M,
+    POSE_AXES,
+    AxisMap,
+    EthernetConfigError,
+    TelegramError,
+)
 from deltaq_protocol.rsi.ethernet_xml import ElementType, EthernetConfig
 from deltaq_protocol.rsi.layout import (
     DECIMALS,
@@ -28,8 +34,8 @@ from deltaq_protocol.rsi.layout import (
     document,
     receive_fields,
     send_fields,
+    usual_telegram,
 )
-from deltaq_protocol.rsi.usual_telegram import usual_telegram
 
 MAX_TELEGRAM_BYTES = 4096
 _POSE_SCALE = (1.0 / MM_PER_M,) * 3 + (1.0 / DEG_PER_RAD,) * 3

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
 
+from deltaq_protocol.codec import place, shown
 from deltaq_protocol.driving import (
     Axes,
     Coordinate,
@@ -24,8 +25,7 @@ from deltaq_protocol.driving import (
 )
 from deltaq_protocol.errors import ProtocolError
 from deltaq_protocol.messages import Joints, JointValue, Message, Name, Real
-from deltaq_protocol.messages.view import MOST_TARGETS
-from deltaq_protocol.quoting import place, shown
+from deltaq_protocol.messages.motion import MOST_TARGETS
 
 MAX_MESSAGE_BYTES = 4096
 """Longest message that a browser may send."""

@@ -15,12 +15,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from deltaq_protocol import topics
-from deltaq_protocol.asking import Asking
 from deltaq_protocol.certified.encryption import client_tls
-from deltaq_protocol.in_order import in_order
 from deltaq_protocol.role_prover import RoleProver
 from deltaq_protocol.session import open_session
-from deltaq_protocol.wire import Wire
+from deltaq_protocol.wire import Asking, Wire, in_order
 
 _MOST_VERDICTS = 1000
 """Verdicts of a robot that may wait to be read: a tick's worth, many times over."""

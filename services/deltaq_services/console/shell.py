@@ -19,7 +19,6 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.identity import content_identity
 from deltaq_protocol import driving, topics
-from deltaq_protocol.asking import Asking
 from deltaq_protocol.codec import InvalidMessageError, unpack
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
 from deltaq_protocol.heartbeat import Heartbeat
@@ -43,6 +42,7 @@ from deltaq_protocol.messages import (
 )
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 from deltaq_protocol.role_prover import role_prover
+from deltaq_protocol.wire import Asking
 from deltaq_services.console.client import Client
 from deltaq_services.console.commands import id_in
 from deltaq_services.console.core import ConsoleCore

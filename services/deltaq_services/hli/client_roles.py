@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from deltaq_cell.description import CellDescription
 from deltaq_cell.open_realm import ALLOWS_ANYBODY, NEEDS_TOKENS, off_loopback
 from deltaq_protocol.certified.names import AUTHORITY_FILE, IDENTITY, IdentityKind, kind_of
-from deltaq_protocol.client_rights import ClientRole
 from deltaq_protocol.given_token import MAKE_ONE, OPERATOR_TOKEN, GivenTokenError, given_token
+from deltaq_protocol.topic import ClientRole
 
 _ROLES = {
     IdentityKind.SERVICE: ClientRole.OBSERVER,

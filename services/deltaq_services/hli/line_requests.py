@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from deltaq_protocol.codec import MAX_MESSAGE_BYTES, InvalidMessageError, from_map, line_to_map
+from deltaq_protocol.codec import MAX_MESSAGE_BYTES, InvalidMessageError, from_map, line_to_map, shown
 from deltaq_protocol.messages import LINE_VERSIONS, Hello, Message
-from deltaq_protocol.quoting import shown
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.requests import BY_MODEL, BY_TYPE
 

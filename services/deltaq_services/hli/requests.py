@@ -1,7 +1,7 @@
 """What a client can ask for besides increments: a lease, a stop, a reset, digital outputs.
 
 `ROWS` is the table of all that a client may say. Another request takes a message, a handler and a row here; lines and
-zenoh are served from the table, and `deltaq_protocol.client_rights` has the least role.
+zenoh are served from the table, and `deltaq_protocol.topics` has the least role.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from typing import Any
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
 from deltaq_protocol.audit import AuditKind, AuditOutcome
-from deltaq_protocol.client_rights import ClientRole, least_role
 from deltaq_protocol.given_token import CLIENT_TOKEN, OPERATOR_TOKEN
 from deltaq_protocol.messages import (
     ChallengeRequest,
@@ -39,7 +38,7 @@ from deltaq_protocol.messages import (
     ViewWish,
 )
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
-from deltaq_protocol.topic import Topic
+from deltaq_protocol.topic import ClientRole, Topic
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.commands import KIND_OF_REQUEST, Deed, deed_of
 from deltaq_services.hli.leases import Lease, Sequence
@@ -140,11 +139,11 @@ class Requests:
             self._state.leases.renew(own, time_s)
         elif request.action is LeaseAction.RENEW:
             code = ReasonCode.LEASE_NOT_HELD
-        elif self._role(request, sender) < least_role(topics.LEASE, LeaseAction.ACQUIRE):
+        elif self._role(request, sender) < topics.LEASE.least_role(LeaseAction.ACQUIRE):
             code = ReasonCode.NOT_PERMITTED
         elif request.action is LeaseAction.ACQUIRE and current is not None:
             code = ReasonCode.LEASE_TAKEN
-        elif self._role(request, sender) < least_role(topics.LEASE, request.action):
+        elif self._role(request, sender) < topics.LEASE.least_role(request.action):
             code = ReasonCode.NOT_PERMITTED
         else:
             what, text = AuditKind.LEASE_GRANTED, ""
@@ -185,7 +184,7 @@ class Requests:
         """Leave `held`: a privilege where an operator's token is set, refused while the cause stands."""
         if request.robot not in self._state.links:
             return self._error(sender, request, ReasonCode.UNKNOWN_ROBOT, *self._robots_are(request.robot))
-        if self._role(request, sender) < least_role(topics.RESET):
+        if self._role(request, sender) < topics.RESET.least_role():
             text = f"reset of {request.robot} needs the operator's token"
             return self._error(sender, request, ReasonCode.NOT_PERMITTED, text, _GIVE_IT)
         self._state.counters["resets"] += 1
@@ -214,7 +213,7 @@ class Requests:
             return self._error(
                 sender, request, ReasonCode.MALFORMED, text, "see `contacts` in the cell's YAML"
             )
-        if self._role(request, sender) < least_role(topics.CONTACT):
+        if self._role(request, sender) < topics.CONTACT.least_role():
             text = f"contact {request.contact} needs the operator's token"
             return self._error(sender, request, ReasonCode.NOT_PERMITTED, text, _GIVE_IT)
         self._state.counters["contacts_switched"] += 1
@@ -231,7 +230,7 @@ class Requests:
         link = self._state.links.get(request.robot)
         if link is None:
             return self._error(sender, request, ReasonCode.UNKNOWN_ROBOT, *self._robots_are(request.robot))
-        if self._role(request, sender) < least_role(topics.VIEW):
+        if self._role(request, sender) < topics.VIEW.least_role():
             text = f"another view of {request.robot} needs the controller's token"
             return self._error(sender, request, ReasonCode.NOT_PERMITTED, text, _GIVE_IT)
         problem = problem_of(request, self._state.cell)

@@ -13,10 +13,9 @@ from typing import Any, TypeVar
 import zenoh
 
 from deltaq_protocol.codec import pack
-from deltaq_protocol.inbox import ITEMS_A_TURN, ClientInbox
+from deltaq_protocol.inbox import ITEMS_A_TURN, ClientInbox, ServedInLoop
 from deltaq_protocol.messages import Message
 from deltaq_protocol.seal import Seal
-from deltaq_protocol.served_in_loop import ServedInLoop
 from deltaq_protocol.session import MAX_SESSIONS, declare_publisher, sending
 from deltaq_protocol.topic import Topic
 from deltaq_services.rate_limit import RateLimit

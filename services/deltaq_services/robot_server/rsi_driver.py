@@ -20,9 +20,8 @@ from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.rsi import AxisMap, KrcTelegram, SensorCodec, load_ethernet_xml
 from deltaq_protocol.rsi.axes import DEG_PER_RAD, MM_PER_M
-from deltaq_protocol.rsi.layout import MAX_IPOC
+from deltaq_protocol.rsi.layout import MAX_IPOC, usual_telegram
 from deltaq_protocol.rsi.sensor_codec import MAX_TELEGRAM_BYTES
-from deltaq_protocol.rsi.usual_telegram import usual_telegram
 from deltaq_services.containment import Part
 from deltaq_services.robot_server.crash_brake.core import CrashPlan
 from deltaq_services.robot_server.cycle_meter import CycleMeter

@@ -11,8 +11,7 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_cell.description import RsiDescription
 from deltaq_cell.find import find_cell, resolve_near
 from deltaq_emulator.krc import Krc
-from deltaq_emulator.profiles import profile_for
-from deltaq_emulator.settings import KrcSettings
+from deltaq_emulator.settings import KrcSettings, profile_for
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Description, ToolPose
 from deltaq_protocol.rsi import load_ethernet_xml
