@@ -179,11 +179,9 @@ class RobotModel:
         pin.forwardKinematics(self.model, self._data, self._checked(q))
         return np.array([self._data.oMi[joint].translation for joint in range(1, self.model.njoints)])
 
-    def never_checked_pairs(self, structure: bool = True) -> frozenset[Pair]:
-        """Pairs of body names that are never checked, each sorted; `structure` as `never_checked` has it."""
-        return frozenset(
-            pair for pair, why in self.never_checked.items() if structure or why is not Why.MOUNTED
-        )
+    def never_checked_pairs(self) -> frozenset[Pair]:
+        """Pairs of body names that are never checked, each sorted."""
+        return frozenset(self.never_checked)
 
     @cached_property
     def never_checked(self) -> dict[Pair, Why]:

@@ -48,7 +48,6 @@ class Krc:
         q_start: (n,) where the robot stands [rad or m].
         forward: (n,) joints to the (4, 4) pose of the tool in the robot's base.
         settings: limits, budgets, operating mode.
-        start: switch the drives on and start the program at once.
         limits: of the corrections, axis by axis; those of the settings if not given.
 
     Raises:
@@ -65,7 +64,6 @@ class Krc:
         q_start: Array,
         forward: Callable[[Array], Array],
         settings: KrcSettings | None = None,
-        start: bool = True,
         limits: CorrectionLimits | None = None,
     ) -> None:
         self.robot = robot
@@ -120,9 +118,8 @@ class Krc:
         self._ipoc = (self.settings.ipoc_start - self._ipoc_step) % IPOC_RANGE
         self._starting: int | None = None
         self._frozen = 0
-        if start:
-            self.set_drives(True)
-            self._begin_session()
+        self.set_drives(True)
+        self._begin_session()
         self._sample = self._make_sample()
 
     @property

@@ -10,9 +10,13 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
-from reference_proximity import Separation
+from uncompiled import uncompiled
 
 from deltaq_cell.bodies import Extents
+from deltaq_cell.kernel.arrays import Anatomy, Placed
+from deltaq_cell.kernel.span import VERTICES as MOST_VERTICES
+
+keeps = uncompiled("look").keeps
 
 ROBOTS = {"one": (0, 1, 2, 3, 4), "other": (5, 6)}
 PRISMATIC = (0, 3, 6)
@@ -80,52 +84,47 @@ class Scene:
         }
         self.along = sum(np.abs(offsets).max(axis=0) for offsets in self.offsets.values())
         self.deviation = random.uniform(0, 1, JOINTS) * width
-        self.separation, self.bodies = Separation(JOINTS), {}
-        self.add("floor", "wall")
-        added = [self.add(*[name for name in SHAPES if name.startswith(f"{robot}/")]) for robot in ROBOTS]
-        for places, names, joints in added:
-            self.move(places, names, joints)
-        # a number that is not zero for the first of them
-        assert self.separation.pair_up([("wall", "one/link")]) == 0
-        self.first = self.separation.pair_up(PAIRS)
+        self.bodies = {name: self.drawn(name) for name in SHAPES}
+        self.cell, self.placed = self.as_the_kernel_has_it()
 
-    def add(self, *names):
-        robot = names[0].partition("/")[0]
-        joints = ROBOTS.get(robot, ())
-        placed = [somewhere(self.random) for _ in names]
-        objects = [
-            pin.GeometryObject(name, 0, where, SHAPES[name][0])
-            for name, where in zip(names, placed, strict=True)
-        ]
-        extents = Extents(objects)
-        for index, name in enumerate(names):
-            self.bodies[name] = Body(
-                extents.corners[index],
-                extents.axis[index],
-                extents.disc[index],
-                extents.ball[index],
-                SHAPES[name][1],
-                robot if joints else "structure",
-            )
-        if not joints:
-            self.separation.add(names, extents)
-            return None
-        moved_by = np.array([[joint in SHAPES[name][1] for joint in joints] for name in names])
-        elsewhere = Extents(
-            [pin.GeometryObject(item.name, 0, somewhere(self.random), item.geometry) for item in objects]
-        )
-        places = self.separation.add(names, elsewhere, slice(joints[0], joints[-1] + 1), moved_by)
-        return places, names, joints
+    def drawn(self, name):
+        extents = Extents([pin.GeometryObject(name, 0, somewhere(self.random), SHAPES[name][0])])
+        shape = (extents.corners[0], extents.axis[0], extents.disc[0], extents.ball[0])
+        robot = name.partition("/")[0]
+        return Body(*shape, SHAPES[name][1], robot if robot in ROBOTS else "structure")
 
-    def move(self, places, names, joints):
-        among = slice(joints[0], joints[-1] + 1)
-        arms = np.array([[self.arm(name, joint) for joint in joints] for name in names])
-        J = np.array([self.twist(joint, 1.0) for joint in joints]).T
-        half = self.along + self.deviation
-        corners = np.array([self.bodies[name].corners for name in names])
-        axes = np.array([self.bodies[name].axis for name in names])
-        offsets, deviation = self.offsets[names[0].partition("/")[0]][:, among], self.deviation[among]
-        self.separation.move(places, corners, axes, among, arms, J, half[among], offsets, deviation)
+    def as_the_kernel_has_it(self):
+        bodies, names = list(self.bodies.values()), list(self.bodies)
+        joints = [ROBOTS.get(body.owner, ()) for body in bodies]
+        corners = np.zeros((len(bodies), max(len(body.corners) for body in bodies), 3))
+        for number, body in enumerate(bodies):
+            corners[number, : len(body.corners)] = body.corners
+        offset = np.zeros((MOST_VERTICES, JOINTS))
+        for robot, among in ROBOTS.items():
+            offset[: VERTICES[robot], among] = self.offsets[robot][:, among]
+        cell = dict.fromkeys(Anatomy._fields) | {
+            "robot": [[*ROBOTS, "structure"].index(body.owner) if body.moved_by else -1 for body in bodies],
+            "carrier": [body.moved_by[-1] if body.moved_by else -1 for body in bodies],
+            "first_joint": [among[0] if among else 0 for among in joints],
+            "last_joint": [among[-1] + 1 if among else 0 for among in joints],
+            "moved_by": np.array([[joint in body.moved_by for joint in range(JOINTS)] for body in bodies]),
+            "revolute": [joint not in PRISMATIC for joint in range(JOINTS)],
+            "corner_count": [len(body.corners) for body in bodies],
+            "disc": [body.disc for body in bodies],
+            "ball": [body.ball for body in bodies],
+        }
+        placed = dict.fromkeys(Placed._fields) | {
+            "columns": np.array([self.twist(joint, 1.0) for joint in range(JOINTS)]),
+            "half": self.along + self.deviation,
+            "vertices": [VERTICES[robot] for robot in ROBOTS],
+            "offset": offset,
+            "along": self.along,
+            "deviation": self.deviation,
+            "corners": corners,
+            "axis": np.array([body.axis for body in bodies]),
+            "arms": np.array([[self.arm(name, joint) for joint in range(JOINTS)] for name in names]),
+        }
+        return Anatomy(**cell), Placed(**placed)
 
     def arm(self, name, joint):
         """Greatest distance of a point of a body from a joint's axis, 1 if that is prismatic or moves it not."""
@@ -143,10 +142,11 @@ class Scene:
         return np.concatenate([np.cross(self.points[joint], axis), axis])
 
     def keeps(self, pairs, normals, distances, asked):
-        numbers = np.array([self.first + PAIRS.index(pair) for pair in pairs])
-        return self.separation.keeps(
-            numbers, np.array(normals), np.array(distances), np.array(asked)
-        ).tolist()
+        number = list(self.bodies).index
+        return [
+            keeps(self.cell, self.placed, *map(number, pair), *of_pair, np.zeros((2, MOST_VERTICES, 6)))
+            for pair, *of_pair in zip(pairs, normals, distances, asked, strict=True)
+        ]
 
     def apart(self, pair):
         """Joints that move one of two bodies and not the other, for each of the two."""

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from reference_proximity import ReferenceProximity
 from spans import draw_span
 
 from deltaq_cell.bodies import Extents
@@ -18,9 +17,9 @@ def cell(request):
     return CellModel.load(request.param)
 
 
-@pytest.fixture(scope="module", params=[ReferenceProximity, CompiledProximity])
-def proximity(request, cell):
-    return request.param(cell)
+@pytest.fixture(scope="module")
+def proximity(cell):
+    return CompiledProximity(cell)
 
 
 def configuration(robot, random):

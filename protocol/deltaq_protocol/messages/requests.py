@@ -1,4 +1,4 @@
-"""What a client is told and may ask for: the description of the cell, leases, requests and their answers, the status."""
+"""What a client is told and may ask for: description of the cell, leases, requests and their answers, status."""
 
 from __future__ import annotations
 

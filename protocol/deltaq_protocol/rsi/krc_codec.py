@@ -27,7 +27,6 @@ from deltaq_protocol.rsi.layout import (
 )
 
 MAX_TELEGRAM_BYTES = 4096
-MAX_PRECISION = 9
 
 # as C's strtod reads it: a zero before the point may be missing
 _NUMBER = re.compile(rf"{NUMBER}|[-+]?\.[0-9]{{1,16}}(?:[eE][-+]?[0-9]{{1,2}})?")
