@@ -111,21 +111,11 @@ class Group:
         """Every pair that is not left out, by index, as `least` measured it; for the rare case that asks for all."""
         return {index: self._measured(index) for index in np.flatnonzero(self.active).tolist()}
 
-    def nearer(self, distance_m: float) -> tuple[list[int], Array, Array]:
-        """Pairs whose swept distance is below `distance_m`, as `least` measured them.
-
-        Returns:
-            Their indices, their distances at the middle (k,) [m], and unit normals (k, 3) from first to second body.
-        """
-        indices, distances, normals = [], [], []
-        for index, result in enumerate(self._coal[1].distanceResults):
-            if result.min_distance < distance_m and self.active[index]:
-                first, second = self.pairs[index]
-                radii = first.geometry.getSweptSphereRadius() + second.geometry.getSweptSphereRadius()
-                indices.append(index)
-                distances.append(result.min_distance + radii)
-                normals.append(result.normal)
-        return indices, np.array(distances), np.array(normals)
+    def nearer(self, distance_m: float) -> list[int]:
+        """Indices of the pairs whose swept distance is below `distance_m`, as `least` measured them."""
+        results = self._coal[1].distanceResults
+        active = np.flatnonzero(self.active).tolist()
+        return [index for index in active if results[index].min_distance < distance_m]
 
     def _measured(self, index: int) -> Nearest:
         first, second = self.pairs[index]

@@ -33,8 +33,9 @@ class ReferenceProximity(ProximityEngine):
             return DistanceQuery([], False, None, 0.0)
         failing = [group for group, room in rooms.items() if room < room_m]
         too_near = any(
-            (group.nearer(group.stop_distance_m + room_m)[1] < group.stop_distance_m + room_m).any()
+            near.distance_m < group.stop_distance_m + room_m
             for group in failing
+            for near in group.measured().values()
         )
         tightest = min(rooms, key=rooms.__getitem__)
         return DistanceQuery(failing, too_near, tightest.nearest(), tightest.stop_distance_m)

@@ -186,7 +186,7 @@ class Retreat:
         groups = self._proximity.alone[robot] if between is None else between
         failing = self._proximity.look(groups, NUMERICAL_TOLERANCE_M).failing if groups else []
         for group in self._proximity.measured(failing):
-            for index in group.nearer(group.stop_distance_m + NUMERICAL_TOLERANCE_M)[0]:
+            for index in group.nearer(group.stop_distance_m + NUMERICAL_TOLERANCE_M):
                 yield _Near(group, index, other)
 
     def _distance_m(self, robot: Tracker, near: _Near) -> float:
