@@ -130,6 +130,7 @@ class Tracker:
         self.history = History(self.drives.lag)
         self._ended: deque[int] = deque(maxlen=_ENDED_PROCESSES)
         self._off: tuple[Array, Array] | None = None
+        self._present: SetpointMotion | None = None
 
     def observe(self, state: ServerState) -> bool:
         """Take a state; returns False if no cycle of the robot has passed since the last."""
@@ -226,7 +227,7 @@ class Tracker:
 
     def _fly(self, admissions: tuple[Admission, ...]) -> None:
         self.in_flight = admissions
-        self._decided_after = self._ahead = self._known_courses = None
+        self._decided_after = self._ahead = self._known_courses = self._present = None
 
     def decide_after(self, cycle: int | None) -> None:
         """Decide next the setpoint that is sent after `cycle`; None: that which answers to the newest state go into."""
@@ -260,8 +261,10 @@ class Tracker:
         return self._ahead
 
     def _now(self) -> SetpointMotion:
-        assert self.state is not None  # asked only of robots that have been heard
-        return replace(SetpointMotion.of(self.state), q_cmd=self.q_cmd)
+        if self._present is None:
+            assert self.state is not None  # asked only of robots that have been heard
+            self._present = replace(SetpointMotion.of(self.state), q_cmd=self.q_cmd)
+        return self._present
 
     def tube(self, branch: Branch) -> Windows:
         """The tube of one course from the present setpoint."""

@@ -194,7 +194,8 @@ def tube(history: Array, branch: Branch, drives: DriveBounds, measured: Array | 
         measured: (n,) where the robot is, if that is not within what the history explains.
     """
     past = history if measured is None else np.concatenate((measured[None], history))
-    drives = replace(drives, lag=max(drives.lag, len(past) - 1))
+    if len(past) - 1 > drives.lag:
+        drives = replace(drives, lag=len(past) - 1)
     path = np.array(branch.path) if branch.path else past[:0]
     # past, then `branch.setpoints`
     points, moves = course_points(past, path, branch.dq, branch.brake_cycles, branch.step)
