@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import socket
+from dataclasses import replace
 from itertools import islice
 from random import Random
 
@@ -20,8 +21,9 @@ from test_hli_core import Bench
 from test_hli_snapshot import Day
 
 from deltaq_protocol.guarded import Command
-from deltaq_protocol.messages import Increment, Outcome, Phase
+from deltaq_protocol.messages import Increment, IoRequest, Outcome, Phase
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli.requests import BY_MODEL
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.sim.core import Sim
 
@@ -268,8 +270,8 @@ def test_an_increment_that_the_hli_fails_on_is_told_and_its_robot_is_held(monkey
 
 
 def test_a_line_that_the_hli_fails_on_is_answered_and_the_connection_goes_on(monkeypatch, caplog):
+    monkeypatch.setitem(BY_MODEL, IoRequest, replace(BY_MODEL[IoRequest], answer=lambda *_: 1 / 0))
     with Server() as server:
-        monkeypatch.setattr(server.hli.core.requests, "on_io", lambda *_: 1 / 0)
         with socket.create_connection(("127.0.0.1", server.description.tcp_port), timeout=60) as sock:
             ask = b'{"type":"io","robot":"fr","outputs":{}}\n'
             sock.sendall(

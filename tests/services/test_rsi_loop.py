@@ -21,9 +21,9 @@ from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.session import open_session
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.guarded_link import GuardedLink
-from deltaq_services.robot_server.krc_socket import KrcSocket
+from deltaq_services.robot_server.krc_socket import KrcSocket, RsiRobot
 from deltaq_services.robot_server.rsi_driver import RsiDriver, sensor_codec
-from deltaq_services.robot_server.shell import Ending, RsiLoop
+from deltaq_services.robot_server.shell import Ending, Loop
 
 WAITS_S = 10.0
 
@@ -42,7 +42,8 @@ class Rig:
         self.rsi = RsiDriver(sensor_codec(cell, "fr", XML), cell, "fr", self.server.counters)
         self.link = GuardedLink(cell, "fr", self.server.counters)
         self.socket = KrcSocket(driver, 0.25, self.rsi, self.server.counters)
-        self.loop = RsiLoop(self.server, self.rsi, self.socket, self.link, Ending(self.server), 0.25)
+        robot = RsiRobot(self.rsi, self.socket, 0.25)
+        self.loop = Loop(self.server, robot, self.link, Ending(self.server))
         self.krc = socket.socket(type=socket.SOCK_DGRAM)
         self.krc.settimeout(WAITS_S)
         self.krc.connect((driver.address, krc_port))
@@ -53,7 +54,7 @@ class Rig:
         identity = str(content_identity(CELL))
         self.server.take(Supervision(robot="fr", epoch=1, cycle=0, cell=identity), self.now_s)
         self.send()
-        self.loop._read(self.now_s)
+        self.loop.cycle(self.now_s)
         answer = self.krc.recv(4096)
         self.correction = KRC.decode(answer).correction
         return answer
@@ -153,7 +154,7 @@ def test_an_error_anywhere_in_the_loop_holds_the_robot_and_the_next_telegram_is_
             rig.cycle()
         else:
             rig.send()
-            rig.loop._read(rig.now_s)
+            rig.loop.cycle(rig.now_s)
     assert calls.count == 1
     rig.loop._server.containment.log_once(logging.getLogger("test"))
     assert "InjectedError" in caplog.text
@@ -166,5 +167,5 @@ def test_an_error_anywhere_in_the_loop_holds_the_robot_and_the_next_telegram_is_
     order = Supervision(robot="fr", epoch=1, cycle=0, resets=resets, cell=identity)
     rig.server.take(order, rig.now_s)
     rig.send()
-    rig.loop._read(rig.now_s)
+    rig.loop.cycle(rig.now_s)
     assert rig.server.state.phase is Phase.READY

@@ -8,16 +8,19 @@ import select
 import socket
 import time
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from types import TracebackType
 from typing import Self
 
 from deltaq_cell.description import RsiDescription
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.endpoint import Address
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_protocol.rsi import TelegramError
 from deltaq_protocol.rsi.sensor_codec import MAX_TELEGRAM_BYTES
-from deltaq_services.robot_server.crash_brake.watch import CrashWatch
+from deltaq_protocol.setpoint_motion import SetpointMotion
+from deltaq_services.containment import Containment
+from deltaq_services.robot_server.crash_brake.watch import CrashRecordMaker, CrashWatch
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.rsi_driver import RsiDriver
 from deltaq_services.robot_server.session import DatagramSource, Peer
@@ -177,6 +180,85 @@ class KrcSocket:
     def _skipped(self, count: int) -> None:
         if count:
             self._counters["telegrams_skipped"] += count
+
+
+class RsiRobot:
+    """A robot on RSI, see `Driver`: its KRC's datagram is the only clock.
+
+    Args:
+        rsi: its telegrams.
+        krc: its socket.
+        silence_s: after which the KRC counts as lost.
+        records: makes those that are left before replies; None if none are.
+    """
+
+    def __init__(
+        self, rsi: RsiDriver, krc: KrcSocket, silence_s: float, records: CrashRecordMaker | None = None
+    ) -> None:
+        self._rsi, self._krc, self._records = rsi, krc, records
+        self._silence_s, self._silent_s = silence_s, time.monotonic() + silence_s
+        self._undo = Containment(lambda: (rsi, rsi.session))
+        self._reply, self._outputs, self._ipoc = b"", dict[str, bool](), 0
+
+    @property
+    def is_guarded(self) -> bool:
+        """Whether a process is ready to brake the robot should this one die, where one is wanted."""
+        return self._krc.is_guarded
+
+    @property
+    def detail(self) -> str:
+        """Details of the KRC, for people."""
+        return self._krc.detail
+
+    @property
+    def q_sent(self) -> Array:
+        """(n,) setpoint that the KRC was sent last [rad or m]."""
+        return self._rsi.q_sent
+
+    def wait(self) -> float:
+        """Wait for a datagram, until the KRC counts as lost."""
+        self._krc.wait(self._silent_s - time.monotonic())
+        return time.monotonic()
+
+    def read(self, now_s: float) -> Measurement | None:
+        """Read the newest telegram; one that must not be answered with a setpoint is answered here."""
+        self._undo.remember()
+        try:
+            measured = self._krc.read(now_s)
+        except Exception:
+            self._undo.put_back()
+            raise
+        if measured is not None:
+            self._silent_s, self._ipoc = now_s + self._silence_s, measured.ipoc
+        elif self._rsi.unmoved is not None:
+            self._krc.send(self._rsi.unmoved)
+        return measured
+
+    def is_lost(self, now_s: float) -> bool:
+        """Whether the KRC has been silent for so long; then it counts anew."""
+        if now_s < self._silent_s:
+            return False
+        self._silent_s = now_s + self._silence_s
+        return True
+
+    def write(self, q_cmd: Array, outputs: Mapping[str, bool], stop: bool) -> bool:
+        """Make the reply; whether the last check took it."""
+        self._reply, self._outputs = self._rsi.reply(q_cmd, outputs, stop), dict(outputs)
+        return self._rsi.fault is None
+
+    def send(self, motion: SetpointMotion) -> None:
+        """Leave the record of the reply, and send it."""
+        record = None
+        if self._records is not None:
+            record = self._records.body(
+                self._records.of_last(self._krc.newest, self._ipoc, self._outputs, motion)
+            )
+        self._krc.send_setpoint(self._reply, record)
+
+    def mend(self, now_s: float) -> None:
+        """Start another process in place of one that was to brake the robot, and has ended."""
+        if self._krc.watch is not None:
+            self._krc.watch.mend(now_s)
 
 
 def _resolved(address: str | None) -> str | None:

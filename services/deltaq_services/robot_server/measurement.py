@@ -1,14 +1,58 @@
-"""What a driver tells a Robot Server's core of its robot, once a cycle."""
+"""The door between a Robot Server and its robot: what a driver does, and what it tells of the robot once a cycle."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import Protocol, Self
 
 import numpy as np
 
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.setpoint_motion import SetpointMotion
+
+
+class Driver(Protocol):
+    """A robot as the loop of its Robot Server sees it. How it is spoken to is the driver's own."""
+
+    @property
+    def is_guarded(self) -> bool:
+        """Whether a process is ready to brake the robot should this one die, where one is wanted."""
+        ...
+
+    @property
+    def detail(self) -> str:
+        """Faults and facts, for people."""
+        ...
+
+    @property
+    def q_sent(self) -> Array:
+        """(n,) setpoint that the robot was sent last [rad or m]."""
+        ...
+
+    def wait(self) -> float:
+        """Wait for the robot's next cycle, or until it counts as lost; returns the time [s], on a monotonic clock."""
+        ...
+
+    def read(self, now_s: float) -> Measurement | None:
+        """What the robot reports; None if there is no cycle to be decided. If there is an error, nothing was read."""
+        ...
+
+    def is_lost(self, now_s: float) -> bool:
+        """Whether the robot has been silent for so long that it counts as lost; asked where `read` gave nothing."""
+        ...
+
+    def write(self, q_cmd: Array, outputs: Mapping[str, bool], stop: bool) -> bool:
+        """Make what the robot is sent; whether it is the setpoint `q_cmd` (n,), and not the last one again."""
+        ...
+
+    def send(self, motion: SetpointMotion) -> None:
+        """Send that. Whoever has to brake the robot if this process dies goes on from `motion`."""
+        ...
+
+    def mend(self, now_s: float) -> None:
+        """See to what has ended beside this process, between two cycles."""
+        ...
 
 
 @dataclass(frozen=True)
