@@ -271,15 +271,17 @@ def test_an_increment_that_the_hli_fails_on_is_told_and_its_robot_is_held(monkey
 
 def test_a_line_that_the_hli_fails_on_is_answered_and_the_connection_goes_on(monkeypatch, caplog):
     monkeypatch.setitem(BY_MODEL, IoRequest, replace(BY_MODEL[IoRequest], answer=lambda *_: 1 / 0))
-    with Server() as server:
-        with socket.create_connection(("127.0.0.1", server.description.tcp_port), timeout=60) as sock:
-            ask = b'{"type":"io","robot":"fr","outputs":{}}\n'
-            sock.sendall(
-                b'{"type":"hello","protocol":1,"client":"test"}\n' + ask + ask + b'{"type":"describe"}\n'
-            )
-            with sock.makefile() as lines:
-                answers = [data for data in map(json.loads, islice(lines, 200)) if data["type"] != "state"]
-                kinds = [data.get("code", data["type"]) for data in answers[:4]]
+    with (
+        Server() as server,
+        socket.create_connection(("127.0.0.1", server.description.tcp_port), timeout=60) as sock,
+    ):
+        ask = b'{"type":"io","robot":"fr","outputs":{}}\n'
+        sock.sendall(
+            b'{"type":"hello","protocol":1,"client":"test"}\n' + ask + ask + b'{"type":"describe"}\n'
+        )
+        with sock.makefile() as lines:
+            answers = [data for data in map(json.loads, islice(lines, 200)) if data["type"] != "state"]
+            kinds = [data.get("code", data["type"]) for data in answers[:4]]
     assert kinds == ["welcome", "internal_error", "internal_error", "description"]
     assert server.hli.core.counters["internal_errors"] == 2
     assert caplog.text.count("ZeroDivisionError") == 1
