@@ -2,6 +2,7 @@
 
 import os
 import signal
+import tempfile
 from collections import Counter
 
 import pytest
@@ -18,22 +19,19 @@ settings.load_profile("repeatable")
 
 
 @pytest.fixture(scope="session", autouse=True)
-def guarded_key(tmp_path_factory):
-    """A key of the guarded realm, for services that tests start one by one, and those that play their peers."""
-    from deltaq_services.guarded_key import KEY_FILE, write_new_key
+def runtime_folder():
+    """A folder for the sockets of the guarded realm; its path is short, as that of a Unix socket has to be."""
     from deltaq_services.hli.zenoh_session import give_each_session_a_thread
 
     give_each_session_a_thread()  # as the HLI's process does, before a test opens the first session
-
-    file = tmp_path_factory.mktemp("secret") / "guarded.key"
-    write_new_key(file)
-    before = os.environ.get(KEY_FILE)
-    os.environ[KEY_FILE] = str(file)
-    yield file
+    before = os.environ.get("XDG_RUNTIME_DIR")
+    with tempfile.TemporaryDirectory(prefix="dq-", dir="/tmp") as folder:
+        os.environ["XDG_RUNTIME_DIR"] = folder
+        yield folder
     if before is None:
-        del os.environ[KEY_FILE]
+        del os.environ["XDG_RUNTIME_DIR"]
     else:
-        os.environ[KEY_FILE] = before
+        os.environ["XDG_RUNTIME_DIR"] = before
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -9,6 +9,7 @@ from pathlib import Path
 from deltaq_cell.description import CellDescription, RobotDescription, RsiDescription
 from deltaq_cell.drive_lag import REMAINDER, emulated_lag, least_servo_lag_s
 from deltaq_cell.find import resolve_near
+from deltaq_cell.guarded_endpoints import guarded_endpoints, guarded_fault
 from deltaq_cell.krc_files import judge_krc_files
 from deltaq_cell.models import nearest_name
 from deltaq_cell.open_realm import (
@@ -44,6 +45,7 @@ class DescriptionCheck:
     def of_cell(self) -> Iterator[Problem]:
         """Problems of the cell that do not depend on its robots."""
         yield from self._ports()
+        yield from self._guarded_realm()
         yield from self._open_realm()
         yield from self._timing()
 
@@ -63,12 +65,15 @@ class DescriptionCheck:
         of_rsi: set[FieldPath] = set()
         listeners: list[tuple[FieldPath, int]] = [
             (("hli",), Endpoint.parse(self._cell.hli).port),
-            (("sim",), Endpoint.parse(self._cell.sim).port),
             (("tcp_port",), self._cell.tcp_port),
             (("console_port",), self._cell.console_port),
         ]
+        listeners += [
+            (endpoint.field, Endpoint.parse(endpoint.text).port)
+            for endpoint in guarded_endpoints(self._cell)
+            if endpoint.text.startswith("tls/")
+        ]
         for name, robot in self._cell.robots.items():
-            listeners.append((("robots", name, "server"), Endpoint.parse(robot.server).port))
             if isinstance(robot.driver, RsiDescription):
                 rsi: FieldPath = ("robots", name, "driver", "port")
                 of_rsi.add(rsi)
@@ -86,6 +91,12 @@ class DescriptionCheck:
                         f"take one below {LEAST_GIVEN_PORT}"
                     )
                     yield self._at(field, told, port, LEAST_GIVEN_PORT - 1, severity="warning")
+
+    def _guarded_realm(self) -> Iterator[Problem]:
+        """Strangers are kept out of the guarded realm by Unix permissions or by TLS."""
+        if (fault := guarded_fault(self._cell)) is not None:
+            endpoint, told = fault
+            yield self._at(endpoint.field, told, endpoint.text)
 
     def _open_realm(self) -> Iterator[Problem]:
         """Nobody on another machine moves a robot without a token, unless the cell says so, or by one overheard."""

@@ -1,5 +1,7 @@
 """The address of a listener, as cells and commands write it: `tcp/HOST:PORT`, `tls/HOST:PORT` or `udp/HOST:PORT`.
 
+`unixsock-stream/PATH` is a Unix socket, of an absolute path.
+
 `tcp+udp/HOST:PORT` is both at one port, for a session over a network that loses packets: what has to arrive goes over
 TCP, and streams over UDP, where nothing waits behind a packet that was lost.
 """
@@ -13,7 +15,7 @@ from typing import Literal, cast
 
 from deltaq_protocol.errors import DeltaqError
 
-Transport = Literal["tcp", "tls", "udp", "tcp+udp"]
+Transport = Literal["tcp", "tls", "udp", "tcp+udp", "unixsock-stream"]
 Address = tuple[str, int]
 """Host and port, as a socket has them."""
 
@@ -26,7 +28,7 @@ class InvalidEndpointError(DeltaqError):
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A transport, a host by name or number, and a port."""
+    """A transport, a host by name or number, and a port; of a Unix socket its path, and 0."""
 
     transport: Transport
     host: str
@@ -42,6 +44,8 @@ class Endpoint:
         Raises:
             InvalidEndpointError: if it has another form, or a port beyond 1 to 65535.
         """
+        if text.startswith("unixsock-stream//"):
+            return cls("unixsock-stream", text.removeprefix("unixsock-stream/"), 0)
         found = _FORM.fullmatch(text)
         if found is None or not 1 <= int(found[4]) <= 65535:
             raise InvalidEndpointError(
@@ -60,16 +64,22 @@ class Endpoint:
         """Kinds of sockets that a listener here has."""
         if self.transport == "tcp+udp":
             return "tcp", "udp"
+        if self.transport == "unixsock-stream":
+            return ()
         return ("udp",) if self.transport == "udp" else ("tcp",)
 
     @property
     def is_loopback(self) -> bool:
         """Whether only this machine can reach it."""
+        if self.transport == "unixsock-stream":
+            return True
         try:
             return ipaddress.ip_address(self.host).is_loopback
         except ValueError:
             return self.host == "localhost"
 
     def __str__(self) -> str:
+        if self.transport == "unixsock-stream":
+            return f"{self.transport}/{self.host}"
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{self.transport}/{host}:{self.port}"

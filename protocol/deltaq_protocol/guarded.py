@@ -192,15 +192,6 @@ class Health(Message):
     newest_id: Count | None = None
 
 
-class Greeting(Message):
-    """Shows that this process of a service is running; its seal identifies the process.
-
-    It answers a message that was not made for the process, so that the sender makes the next one for it.
-    """
-
-    service: Name
-
-
 class GateEntry(Message):
     """One message that the gate took, and its outputs in answer, as msgpack; published to be recorded.
 

@@ -1,7 +1,6 @@
 """Who sends what to whom in the guarded realm: the table of topics, by the services of one cell.
 
-A seal under an identity follows from this table: each service can say what stands here under its own name, to those
-that stand beside it, and nothing else. So does the reference.
+Envelopes, access control over TLS and the reference follow from this table.
 """
 
 from __future__ import annotations
@@ -22,9 +21,8 @@ class Saying:
     Attributes:
         topic: row of the table of topics.
         key: zenoh key.
-        speaker: the service that it is believed of.
-        listeners: whom it is said to, each of whom can tell the speaker; a watcher reads with the speaker's own
-            identity.
+        speaker: the service that sends it.
+        listeners: the services that act upon it.
     """
 
     topic: Topic
@@ -44,13 +42,13 @@ def services(robots: Sequence[str]) -> tuple[str, ...]:
 
 
 def sayings(cell: str, robots: Sequence[str]) -> tuple[Saying, ...]:
-    """All that is sealed in the guarded realm of a cell.
+    """All that services of a cell send to one another in the guarded realm.
 
     Args:
         cell: its name.
         robots: their names.
     """
-    rows = (topic for topic in topics.TOPICS if is_sealed(topic))
+    rows = (topic for topic in topics.TOPICS if is_acted_upon(topic))
     return tuple(saying for topic in rows for saying in _of_topic(topic, cell, robots))
 
 
@@ -58,13 +56,13 @@ def speakers_to(service: str, cell: str, robots: Sequence[str]) -> dict[str, lis
     """The services that a service listens to, and the zenoh keys."""
     heard: dict[str, list[str]] = {}
     for saying in sayings(cell, robots):
-        if service in saying.listeners and service != saying.speaker:
+        if service in saying.listeners:
             heard.setdefault(saying.speaker, []).append(saying.key)
     return heard
 
 
-def is_sealed(topic: Topic) -> bool:
-    """Whether a topic is of the guarded realm and services act upon it; a topic for observers only has no seal."""
+def is_acted_upon(topic: Topic) -> bool:
+    """Whether a topic is of the guarded realm and a service acts upon it; other topics there are for observers."""
     return topic.realm is Realm.GUARDED and any(reader is not Party.WATCHER for reader in topic.readers)
 
 
@@ -75,15 +73,13 @@ def _of_topic(topic: Topic, cell: str, robots: Sequence[str]) -> Iterator[Saying
             concerned = [name for name in robots if own in (None, name)] if is_of_robot else [None]
             for robot in concerned:
                 key = topic.key(cell, service=speaker, **({"robot": robot} if robot else {}))
-                listeners = tuple(_listeners(topic, party, speaker, [robot] if robot else robots))
+                listeners = tuple(_listeners(topic, party, [robot] if robot else robots))
                 yield Saying(topic, key, speaker, listeners)
 
 
-def _listeners(topic: Topic, party: Party, speaker: str, robots: Sequence[str]) -> Iterator[str]:
+def _listeners(topic: Topic, party: Party, robots: Sequence[str]) -> Iterator[str]:
     for reader in topic.readers:
-        if reader is Party.WATCHER:
-            yield speaker
-        elif reader is not party:  # Robot Servers have nothing to say to one another
+        if reader not in (Party.WATCHER, party):  # Robot Servers have nothing to say to one another
             yield from (name for name, _ in _named(reader, robots))
 
 

@@ -15,9 +15,8 @@ from typing import Any
 import zenoh
 
 from deltaq_protocol.codec import MAX_ZENOH_MESSAGE_BYTES
-from deltaq_protocol.endpoint import Endpoint
+from deltaq_protocol.envelope import Envelopes
 from deltaq_protocol.errors import ServiceUnreachableError
-from deltaq_protocol.seal import Seal
 from deltaq_protocol.topic import Priority
 
 MAX_SESSIONS = 64
@@ -94,7 +93,7 @@ def open_session(
 
 
 def _has_datagrams(text: str) -> bool:
-    return Endpoint.parse(text).transport == "tcp+udp"
+    return text.startswith("tcp+udp/")
 
 
 def _links(text: str) -> tuple[str, ...]:
@@ -106,19 +105,15 @@ def _links(text: str) -> tuple[str, ...]:
     return f"tcp/{place}?rel=1", f"udp/{place}?rel=0#exit_on_failure=false"
 
 
-class SealedPublisher:
-    """Publishes messages under a seal."""
+class EnvelopePublisher:
+    """Publishes messages in envelopes."""
 
-    def __init__(self, publisher: Any, key: str, seal: Seal) -> None:
-        self._publisher, self._key, self._seal = publisher, key, seal
+    def __init__(self, publisher: Any, key: str, envelopes: Envelopes) -> None:
+        self._publisher, self._key, self._envelopes = publisher, key, envelopes
 
     def put(self, message: bytes) -> None:
-        """Seal a message and publish it."""
-        self._publisher.put(self._seal.close(self._key, message))
-
-    def greet(self, message: bytes) -> None:
-        """Publish a greeting, for those too that do not know this process yet."""
-        self._publisher.put(self._seal.greet(self._key, message))
+        """Enclose a message and publish it."""
+        self._publisher.put(self._envelopes.close(self._key, message))
 
 
 def sending(priority: Priority) -> dict[str, Any]:
@@ -133,20 +128,20 @@ def sending(priority: Priority) -> dict[str, Any]:
 def declare_publisher(
     session: Any,
     key: str,
-    seal: Seal | None = None,
+    envelopes: Envelopes | None = None,
     priority: Priority = Priority.URGENT,
     to_itself: bool = True,
 ) -> Any:
-    """A publisher for small messages, dropped when blocked. Its own session does not receive sealed messages.
+    """A publisher for small messages, dropped when blocked. Its own session does not receive enclosed messages.
 
     Args:
         session: an open zenoh session.
         key: zenoh key to publish on.
-        seal: seals the messages; None in the open realm, and for messages that are only recorded.
+        envelopes: encloses the messages; None in the open realm, and for messages that are only recorded.
         priority: as in its row of the table of topics; urgent messages are sent at once.
         to_itself: whether subscribers of this session receive the messages too.
     """
-    is_local = to_itself and seal is None
+    is_local = to_itself and envelopes is None
     urgent = priority is Priority.URGENT
     publisher = session.declare_publisher(
         key,
@@ -156,7 +151,7 @@ def declare_publisher(
         allowed_destination=zenoh.Locality.ANY if is_local else zenoh.Locality.REMOTE,
         **sending(priority),
     )
-    return publisher if seal is None else SealedPublisher(publisher, key, seal)
+    return publisher if envelopes is None else EnvelopePublisher(publisher, key, envelopes)
 
 
 def subscribe_newest(session: Any, key: str, capacity: int = 1) -> Any:

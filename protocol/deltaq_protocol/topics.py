@@ -142,10 +142,6 @@ HEALTH = Topic(
     publishers=_HLI + _SIM + _ROBOT_SERVER, readers=_HLI + _SIM + _WATCHER, rate=Hertz(10.0), max_age_s=2.0,
     priority=Priority.ORDINARY, recorded=False,
 )  # fmt: skip
-GREETING = Topic(
-    "greeting", Realm.GUARDED, Kind.STREAM, _GUARDED + "greeting/{service}", guarded.Greeting,
-    publishers=_HLI + _SIM + _ROBOT_SERVER, readers=_HLI + _SIM + _ROBOT_SERVER, recorded=False,
-)  # fmt: skip
 AUDIT_ENTRY = Topic(
     "audit-entry", Realm.GUARDED, Kind.STREAM, _GUARDED + "audit-entry", audit.AuditEntry,
     publishers=_HLI, readers=_SIM, priority=Priority.ORDINARY, recorded=False,
@@ -169,6 +165,6 @@ GATE_MEMORY = Topic(
 TOPICS: tuple[Topic, ...] = (
     STATE, INCREMENT, VERDICT, LEASE, IO, PROXIMITY, STOP, RESET, DRY_RUN, VIEW, CHALLENGE, CONTACT, DESCRIPTION,
     STATUS,
-    SERVER_STATE, REQUEST, ADMISSION, SUPERVISION, GATE_VERDICT, COMMAND, COMMAND_REPLY, HEALTH, GREETING,
+    SERVER_STATE, REQUEST, ADMISSION, SUPERVISION, GATE_VERDICT, COMMAND, COMMAND_REPLY, HEALTH,
     AUDIT_ENTRY, AUDIT, GATE_LOG, GATE_MEMORY,
 )  # fmt: skip

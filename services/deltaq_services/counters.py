@@ -62,18 +62,10 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(HLI, "malformed", "malformed messages of clients; each got an error if its sender is known"),
     Counted(HLI, "malformed_guarded", "malformed messages from the guarded realm"),
     Counted(
-        HLI, "forged_guarded", "messages from the guarded realm whose seal is wrong, or that were replayed"
-    ),
-    Counted(
         HLI,
-        "unbound_guarded",
-        "sealed messages from the guarded realm made for another process: this one has just begun, or they are "
-        "recordings",
-    ),
-    Counted(
-        HLI,
-        "newcomers_passed_over",
-        "unverified senders omitted from the handshake, because there were too many: somebody repeats recordings",
+        "stale_guarded",
+        "messages from the guarded realm that were sent to another process, by a process that another has replaced, "
+        "or before one that has come",
     ),
     Counted(HLI, "version_mismatches", "clients that speak another version of the protocol"),
     Counted(
@@ -180,16 +172,11 @@ COUNTERS: tuple[Counted, ...] = (
         "messages that were refused after an unexpected error; each holds the robot that it concerns",
     ),
     Counted(SIM, "unknown_request", "requests for a robot that the cell does not have"),
-    Counted(SIM, "forged_messages", "messages whose seal is wrong, or that were replayed"),
     Counted(
         SIM,
-        "unbound_messages",
-        "sealed messages made for another process: this one has just begun, or they are recordings",
-    ),
-    Counted(
-        SIM,
-        "newcomers_passed_over",
-        "unverified senders omitted from the handshake, because there were too many: somebody repeats recordings",
+        "stale_messages",
+        "messages that were sent to another process, by a process that another has replaced, or before one that has "
+        "come",
     ),
     Counted(SIM, "invalid_messages", "messages that are malformed"),
     Counted(ROBOT_SERVER, "admissions", "admissions that were taken"),
@@ -238,17 +225,10 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(ROBOT_SERVER, "telegrams_garbled", "datagrams that are no telegram of this robot"),
     Counted(ROBOT_SERVER, "telegrams_skipped", "telegrams skipped because a newer one had come"),
     Counted(
-        ROBOT_SERVER, "forged_{message}", "messages of this type whose seal is wrong, or that were replayed"
-    ),
-    Counted(
         ROBOT_SERVER,
-        "unbound_{message}",
-        "sealed messages of this type made for another process: this one has just begun, or they are recordings",
-    ),
-    Counted(
-        ROBOT_SERVER,
-        "newcomers_passed_over",
-        "unverified senders omitted from the handshake, because there were too many: somebody repeats recordings",
+        "stale_{message}",
+        "messages of this type that were sent to another process, by a process that another has replaced, or before "
+        "one that has come",
     ),
     Counted(ROBOT_SERVER, "invalid_{message}", "malformed messages of this type"),
     Counted(CONSOLE, "clients", "browsers that were let in"),

@@ -26,7 +26,19 @@ def runtime_folder() -> Path:
     folder = (
         Path(given) / "deltaq" if given else Path(tempfile.gettempdir()) / f"deltaq-runtime-{os.geteuid()}"
     )
-    remedy = "let XDG_RUNTIME_DIR name a folder of your own"
+    return private_folder(folder, "let XDG_RUNTIME_DIR name a folder of your own")
+
+
+def private_folder(folder: Path, remedy: str) -> Path:
+    """A folder that only this user can enter, made if need be.
+
+    Args:
+        folder: its path; the one above it exists.
+        remedy: what to do if it is not, for people.
+
+    Raises:
+        RuntimeFolderError: it cannot be made, another user owns it, or others may enter it.
+    """
     try:
         folder.mkdir(mode=0o700, exist_ok=True)
         about = folder.lstat()  # a link would lead wherever its owner wants

@@ -1,4 +1,4 @@
-"""The identity of a service, and what it can say under it: keys for each of those that it speaks with."""
+"""The identity of a service: its certificate over TLS, and the authority of its cell."""
 
 from __future__ import annotations
 
@@ -16,45 +16,23 @@ from deltaq_protocol.certified.identity import Identity, read_believed
 from deltaq_protocol.certified.names import AUTHORITY_FILE, IDENTITY, IdentityError, IdentityKind
 from deltaq_protocol.errors import Severity
 from deltaq_protocol.sayings import HLI, services
-from deltaq_protocol.seal_keys import PairKeys
 
 _log = logging.getLogger(__name__)
 
 
-def pair_keys(cell: CellDescription, folder: Path, service: str = "", watched: str = "") -> PairKeys:
-    """The keys of a service of a cell.
-
-    Its time is looked at here, when a process begins; none ends in motion because a certificate does.
-
-    Args:
-        cell: the cell.
-        folder: of the identity, or the one in which it lies under its service's name.
-        service: its name; empty for who only watches, under whatever identity of a service there is.
-        watched: the service that such a one watches.
+def service_identity(cell: CellDescription, folder: Path, service: str) -> Identity:
+    """The identity of a service, from its folder or the one above.
 
     Raises:
         IdentityError: if there is none, it is another's, or not valid.
     """
-    identity = service_identity(cell, folder, service, watched)
-    if warning := identity.warning(now_utc()):
-        _log.warning(warning)
-    return PairKeys(identity.name, cell.cell, tuple(cell.robots), _secrets(cell, identity))
-
-
-def service_identity(cell: CellDescription, folder: Path, service: str = "", watched: str = "") -> Identity:
-    """The identity of a service, from its folder or the one above; the arguments as those of `pair_keys`.
-
-    Raises:
-        IdentityError: if there is none, it is another's, or not valid.
-    """
-    own = folder / (service or watched)
-    identity = _of_cell(cell, own if own.is_dir() else folder)
+    identity = _of_cell(cell, _own(folder, service))
     if identity.kind is not IdentityKind.SERVICE:
         raise IdentityError(
             f"{identity.folder} is the identity of {identity.name}, which is no service: {identity.kind}s connect to "
             "the HLI"
         )
-    if service and identity.name != service:
+    if identity.name != service:
         raise IdentityError(
             f"{identity.folder} is the identity of {identity.name}, and this is {service}; name the folder {service} "
             "that `deltaq keys` made, or the one above it"
@@ -69,7 +47,6 @@ def identity_faults(cell: CellDescription, folder: Path) -> list[tuple[Severity,
     for own in present or [folder]:
         try:
             identity = _of_cell(cell, own)
-            _secrets(cell, identity)
         except IdentityError as error:
             found.append(("error", str(error)))
         else:
@@ -86,11 +63,6 @@ def _of_cell(cell: CellDescription, folder: Path) -> Identity:
             "`deltaq keys CELL --to FOLDER` makes those of a cell"
         )
     return identity
-
-
-def _secrets(cell: CellDescription, identity: Identity) -> dict[str, bytes]:
-    now = now_utc()
-    return {name: identity.secret_with(name, now) for name in services(tuple(cell.robots))}
 
 
 def authority_of_clients(cell: CellDescription, environment: Mapping[str, str]) -> x509.Certificate:
@@ -111,16 +83,30 @@ def authority_of_clients(cell: CellDescription, environment: Mapping[str, str]) 
     return authority
 
 
-def tls_settings(cell: CellDescription, folder: Path, service: str = "") -> dict[str, Any]:
+def tls_settings(
+    cell: CellDescription, folder: Path, service: str, only_watches: bool = False
+) -> dict[str, Any]:
     """Certificates of a service's session over TLS, as zenoh's configuration has them.
+
+    The time is looked at here, when a process begins; no motion ends because a certificate does.
 
     Args:
         cell: the cell.
         folder: of the identity, or the one in which it lies under its service's name.
-        service: its name, or that of the one that is watched.
+        service: its name, or that of the service that is watched.
+        only_watches: any identity of the cell will do.
 
     Raises:
-        IdentityError: if there is no identity of this cell, or it is not valid.
+        IdentityError: if there is no such identity, or it is not valid.
     """
+    if only_watches:
+        return encryption.tls_settings(_of_cell(cell, _own(folder, service)).folder)
+    identity = service_identity(cell, folder, service)
+    if warning := identity.warning(now_utc()):
+        _log.warning(warning)
+    return encryption.tls_settings(identity.folder)
+
+
+def _own(folder: Path, service: str) -> Path:
     own = folder / service
-    return encryption.tls_settings(_of_cell(cell, own if own.is_dir() else folder).folder)
+    return own if own.is_dir() else folder

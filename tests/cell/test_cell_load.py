@@ -103,7 +103,7 @@ WRONG = [
     ("kind: cylinder, ", "", 18, "structure.pipe.shape.kind", None, None, "is missing"),
     ("cell: mini", "cell: Mini cell", 1, "cell", "Mini cell", "^[a-z][a-z0-9_-]*$", "pattern"),
     ("cell: mini\n", "", 1, "cell", None, None, "is missing"),
-    ("tcp/127.0.0.1:7451", "127.0.0.1", 6, "robots.fr.server", "127.0.0.1", "tcp/HOST:PORT or tls/HOST:PORT",
+    ("tcp/127.0.0.1:7451", "127.0.0.1", 6, "robots.fr.server", "127.0.0.1", "local or tls/HOST:PORT",
      "a port of 1 to 65535"),
     ("  fr:", "  FR:", 4, "robots.FR", "FR", "^[a-z][a-z0-9_-]*$", "pattern"),
     ("lower_deg: -150", "lower_deg: 40", 10, "robots.fr.joints.a2", None, None, "must be below the upper limit"),

@@ -11,7 +11,7 @@ import msgpack
 import pytest
 
 from deltaq_experiments.bench import cornered
-from deltaq_experiments.bench.codecs import messages_of_a_cycle, seals
+from deltaq_experiments.bench.codecs import messages_of_a_cycle
 from deltaq_experiments.bench.cornered import CorneredError, store, stored
 from deltaq_experiments.bench.decisions import near_obstacles
 from deltaq_experiments.bench.table import BenchRow, BenchTable
@@ -121,17 +121,6 @@ def test_the_messages_of_a_cycle_are_those_of_a_robot_in_motion(lab: LoadedCell)
     [verdict] = [message for message in known if isinstance(message, Verdict)]
     assert verdict.outcome is Outcome.ADMITTED
     assert any(verdict.dq)
-
-
-def test_every_guarded_message_of_a_cycle_is_sealed_and_opened(lab: LoadedCell) -> None:
-    one_key, identities = seals(lab, "fr", passes=3)
-    for row in (one_key, identities):
-        assert row.what.startswith("the 5 guarded messages")
-        assert row.median_us > 0.0
-    assert one_key.kept is None
-    assert identities.at_most == 1.25
-    assert one_key.median_us > one_key.reference_us > 0.0
-    assert identities.what.endswith("under identities")
 
 
 def test_a_standing_krc_sends_telegrams_that_its_robot_server_reads() -> None:

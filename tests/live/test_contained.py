@@ -18,7 +18,7 @@ from contained import Container, is_allowed, may_be_real_time
 from networks import why_none
 
 from deltaq_cell.load import load_cell
-from deltaq_deploy.launch.compose import ADDRESS, KEY_MAKER, compose_document, real_time_document
+from deltaq_deploy.launch.compose import ADDRESS, compose_document, real_time_document
 from deltaq_deploy.launch.container import USER
 from deltaq_deploy.launch.resources import RESOURCES
 from deltaq_deploy.launch.services import cell_services, console_service
@@ -115,7 +115,7 @@ def test_the_stack_comes_up_without_root_moves_a_robot_and_ends_in_order(stack: 
     assert stack.start(ADDRESS).wait() == 0
     assert stack.running[ADDRESS].text() == "the console is at http://127.0.0.1:7480"
     for name, container in stack.running.items():
-        if name in (KEY_MAKER, ADDRESS):
+        if name == ADDRESS:
             continue
         status = Path(f"/proc/{container.first}/status").read_text()
         assert f"Uid:\t{USER}\t{USER}\t{USER}\t{USER}" in status, name
@@ -135,11 +135,11 @@ def test_the_stack_comes_up_without_root_moves_a_robot_and_ends_in_order(stack: 
     assert set(statuses.values()) == {0}, {name: stack.running[name].text() for name in statuses}
 
 
-def test_nobody_else_reads_the_key_and_no_service_writes_to_what_it_runs_from(stack: Stack) -> None:
-    maker = stack.start(KEY_MAKER)
-    assert maker.wait() == 0, maker.text()
-    key = stack.volumes["guarded"] / "guarded.key"
-    assert (key.stat().st_uid, key.stat().st_mode & 0o777) == (USER, 0o600)
+def test_nobody_else_enters_the_sockets_folder_and_no_service_writes_to_what_it_runs_from(
+    stack: Stack,
+) -> None:
+    folder = stack.volumes["guarded"]
+    assert (folder.stat().st_uid, folder.stat().st_mode & 0o777) == (USER, 0o700)
     tries = (
         "import sys, pathlib\nfor place in sys.argv[1:]:\n    try:\n        pathlib.Path(place, 'x').write_text('x')\n"
         "        print('wrote', place)\n    except OSError:\n        pass"
@@ -157,8 +157,8 @@ def test_nobody_else_reads_the_key_and_no_service_writes_to_what_it_runs_from(st
     document = stack.document["services"]["sim"] | {"command": ["python", "-c", tries, *places]}
     container = Container("writes", document, stack.volumes)
     container.wait()
-    assert list(container.lines) == ["wrote /tmp"]
-    stranger = ["setpriv", "--reuid=12345", "--clear-groups", "cat", str(key)]
+    assert list(container.lines) == ["wrote /run/deltaq", "wrote /tmp"]
+    stranger = ["setpriv", "--reuid=12345", "--clear-groups", "ls", str(folder)]
     assert subprocess.run(stranger, capture_output=True, check=False).returncode
 
 

@@ -11,11 +11,12 @@ from deltaq_deploy.launch.services import Role
 from deltaq_emulator.settings import SHIPPED
 from deltaq_protocol import blocking, topics
 from deltaq_protocol.codec import unpack
+from deltaq_protocol.envelope import message_in
 from deltaq_protocol.errors import RefusedError
 from deltaq_protocol.guarded import Health
 from deltaq_protocol.messages import Phase
-from deltaq_protocol.session import open_session, subscribe_newest
-from deltaq_services.guarded_key import guarded_seal
+from deltaq_protocol.session import subscribe_newest
+from deltaq_services.guarded_realm import open_watching_session
 from deltaq_services.robot_server.probe_trial import PROBE_RAD
 
 pytestmark = pytest.mark.live
@@ -53,12 +54,11 @@ def at_4_ms(services, file):
 
 def detail(stack):
     """What the floor robot's Robot Server tells people."""
-    session = open_session(connect=[stack.cell.robots["fr"].server], must_connect=True)
+    session = open_watching_session(stack.cell, "robot-server-fr")
     try:
         health = subscribe_newest(session, topics.HEALTH.key(stack.cell.cell, service="robot-server-fr"))
         sample = health.recv()
-        sealed = sample.payload.to_bytes()
-        return unpack(Health, guarded_seal(stack.cell).read(str(sample.key_expr), sealed)).detail
+        return unpack(Health, message_in(sample.payload.to_bytes())).detail
     finally:
         session.close()
 

@@ -14,9 +14,10 @@ from deltaq_cell.load import load_cell
 from deltaq_deploy.launch.private_cell import write_private_cell
 from deltaq_protocol import topics
 from deltaq_protocol.codec import unpack
+from deltaq_protocol.envelope import message_in
 from deltaq_protocol.guarded import ServerState
-from deltaq_protocol.session import open_session, subscribe_newest
-from deltaq_services.guarded_key import guarded_seal
+from deltaq_protocol.session import subscribe_newest
+from deltaq_services.guarded_realm import open_watching_session
 from deltaq_services.robot_server.probe_trial import PROBE_RAD
 
 pytestmark = pytest.mark.service
@@ -40,8 +41,7 @@ class Attacked:
             sock.connect(self.address)
             sock.settimeout(PATIENCE_S)
         self.ipoc = 1000
-        self.seal = guarded_seal(cell)
-        self.session = open_session(connect=[cell.robots["fr"].server], must_connect=True)
+        self.session = open_watching_session(cell, "robot-server-fr")
         self.states = subscribe_newest(self.session, topics.SERVER_STATE.key(cell.cell, robot="fr"))
 
     def line(self, word):
@@ -64,7 +64,7 @@ class Attacked:
             self.cycle()
             sample = self.states.try_recv()
             if sample is not None:
-                return unpack(ServerState, self.seal.read(str(sample.key_expr), sample.payload.to_bytes()))
+                return unpack(ServerState, message_in(sample.payload.to_bytes()))
 
     def count(self, counter, at_least=1):
         """Cycle until something was counted so often."""

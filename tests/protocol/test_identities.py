@@ -26,16 +26,11 @@ def read(folder, after=timedelta(0)):
     return Identity.read(folder, now_utc() + after)
 
 
-def test_an_identity_says_who_it_is_of_which_cell_and_shares_a_secret_with_each_service(folder):
-    sim, fr = read(folder / "sim"), read(folder / "robot-server-fr")
+def test_an_identity_says_who_it_is_and_of_which_cell(folder):
+    sim = read(folder / "sim")
     assert (sim.name, sim.kind, sim.cell) == ("sim", IdentityKind.SERVICE, "lab")
     assert read(folder / "operator-desk").kind is IdentityKind.OPERATOR
     assert read(folder / "controller-tower").kind is IdentityKind.CONTROLLER
-    shared = sim.secret_with("robot-server-fr", now_utc())
-    assert shared == fr.secret_with("sim", now_utc())
-    assert len(shared) == 32
-    assert shared != fr.secret_with("hli", now_utc())
-    assert sim.secret_with("sim", now_utc()) not in (shared, fr.secret_with("robot-server-fr", now_utc()))
 
 
 def test_each_folder_is_whole_and_no_two_keys_are_the_same(folder):
@@ -53,9 +48,6 @@ def test_each_folder_is_whole_and_no_two_keys_are_the_same(folder):
     assert len({key.read_bytes() for key in keys.values()}) == len(names)
     assert {key.stat().st_mode & 0o777 for key in keys.values()} == {0o600}
     assert folder.stat().st_mode & 0o777 == 0o700
-    for name in names - {"authority"}:
-        services = {path.stem for path in (folder / name / "services").iterdir()}
-        assert services == {"sim", "hli", "robot-server-fr", "robot-server-gr"}
 
 
 @pytest.mark.parametrize("mode", [0o640, 0o604, 0o620, 0o666])
@@ -65,19 +57,19 @@ def test_a_key_that_others_may_use_is_none(folder, mode):
         read(folder / "sim")
 
 
-@pytest.mark.parametrize("name", ["certificate.pem", "authority.pem", "services/hli.pem"])
+@pytest.mark.parametrize("name", ["certificate.pem", "authority.pem"])
 def test_what_others_could_have_written_is_not_believed(folder, name):
     (folder / "sim" / name).chmod(0o666)
     with pytest.raises(IdentityError, match=f"{name} has mode 0666, and others than its owner may write it"):
-        read(folder / "sim").secret_with("hli", now_utc())
+        read(folder / "sim")
 
 
 def test_files_of_somebody_else_are_not_believed(folder):
     try:
-        for name, match in (("services/hli.pem", "who would believe it"), ("key.pem", "belongs to user")):
+        for name, match in (("certificate.pem", "who would believe it"), ("key.pem", "belongs to user")):
             os.chown(folder / "sim" / name, os.geteuid() + 1, -1)
             with pytest.raises(IdentityError, match=match):
-                read(folder / "sim").secret_with("hli", now_utc())
+                read(folder / "sim")
     except PermissionError:
         pytest.skip("only root gives files away")
 
@@ -93,11 +85,11 @@ def test_what_is_no_key_or_certificate_is_told_and_never_shown(folder, name, con
     assert not content or content.decode() not in str(refused.value)
 
 
-@pytest.mark.parametrize("name", ["key.pem", "certificate.pem", "authority.pem", "services/hli.pem"])
+@pytest.mark.parametrize("name", ["key.pem", "certificate.pem", "authority.pem"])
 def test_a_file_that_is_missing_is_named(folder, name):
     (folder / "sim" / name).unlink()
     with pytest.raises(IdentityError, match=name):
-        read(folder / "sim").secret_with("hli", now_utc())
+        read(folder / "sim")
 
 
 @pytest.mark.parametrize(
@@ -116,18 +108,8 @@ def test_a_certificate_of_another_identity_does_not_make_one_of_it(folder):
         read(folder / "hli")
 
 
-def test_a_service_that_has_the_certificate_of_another_is_not_believed(folder):
-    services = folder / "robot-server-fr" / "services"
-    shutil.copy(services / "robot-server-gr.pem", services / "sim.pem")
-    with pytest.raises(IdentityError, match=r"sim\.pem is the certificate of robot-server-gr"):
-        read(folder / "robot-server-fr").secret_with("sim", now_utc())
-
-
 def test_certificates_of_another_authority_are_not_believed(folder, tmp_path):
     other = make(tmp_path / "other")
-    shutil.copy(other / "sim" / "certificate.pem", folder / "hli" / "services" / "sim.pem")
-    with pytest.raises(IdentityError, match=r"sim\.pem was not issued by the authority of cell lab"):
-        read(folder / "hli").secret_with("sim", now_utc())
     shutil.copy(other / "hli" / "authority.pem", folder / "hli" / "authority.pem")
     with pytest.raises(IdentityError, match="was not issued by the authority"):
         read(folder / "hli")
@@ -138,9 +120,9 @@ def test_who_has_an_identity_is_no_authority(folder):
     sim = read(folder / "sim")
     forged = authorities.Authority(sim.key, sim.authority)
     _, certificate = forged.issue("hli", now_utc())
-    (folder / "robot-server-fr" / "services" / "hli.pem").write_bytes(certificate.public_bytes(Encoding.PEM))
+    (folder / "hli" / "certificate.pem").write_bytes(certificate.public_bytes(Encoding.PEM))
     with pytest.raises(IdentityError, match="was not issued by the authority"):
-        read(folder / "robot-server-fr").secret_with("hli", now_utc())
+        read(folder / "hli")
     shutil.copy(folder / "sim" / "certificate.pem", folder / "hli" / "authority.pem")
     with pytest.raises(IdentityError, match="is not the certificate of an authority"):
         read(folder / "hli")
@@ -159,11 +141,6 @@ def test_the_end_is_told_thirty_days_before_and_is_an_error_after_it(folder):
         IdentityError, match=r"certificate\.pem was valid until .*`deltaq keys CELL --to NEW_FOLDER`"
     ):
         Identity.read(folder / "sim", end + DAY)
-
-
-def test_a_certificate_of_a_service_that_is_out_of_date_is_not_believed(folder):
-    with pytest.raises(IdentityError, match=r"hli\.pem was valid until"):
-        read(folder / "sim").secret_with("hli", now_utc() + 800 * DAY)
 
 
 def test_a_clock_that_is_far_behind_is_told(folder):
@@ -194,9 +171,7 @@ def test_an_operator_is_added_later_and_nothing_is_written_over(folder):
         "operator-night",
         "authority",
     }
-    assert read(folder / "operator-night").secret_with("sim", now_utc()) == read(
-        folder / "operator-night"
-    ).secret_with("sim", now_utc())
+    assert read(folder / "operator-night").authority == read(folder / "sim").authority
 
 
 def test_it_is_added_with_the_authority_alone_wherever_that_is(folder, tmp_path):
@@ -209,18 +184,14 @@ def test_it_is_added_with_the_authority_alone_wherever_that_is(folder, tmp_path)
     assert [path.name for path in (tmp_path / "new").iterdir()] == ["operator-night"]
     night, sim = read(tmp_path / "new" / "operator-night"), read(services / "sim")
     assert night.authority == sim.authority
-    assert (tmp_path / "new/operator-night/services/sim.pem").read_bytes() == (
-        services / "sim" / "certificate.pem"
-    ).read_bytes()
 
 
-def test_a_robot_that_a_cell_has_got_since_is_known_to_all(tmp_path):
+def test_a_robot_that_a_cell_has_got_since_is_of_the_same_authority(tmp_path):
     folder = make(tmp_path / "lab", robots=("fr",), people=("operator-desk",))
     before = contents(folder)
     make(folder)
     assert contents(folder) | before == contents(folder)
-    gr = read(folder / "robot-server-gr")
-    assert gr.secret_with("sim", now_utc()) == read(folder / "sim").secret_with("robot-server-gr", now_utc())
+    assert read(folder / "robot-server-gr").authority == read(folder / "sim").authority
 
 
 def test_without_the_authority_no_second_one_is_made(folder, tmp_path):

@@ -23,7 +23,7 @@ from deltaq_emulator.faults import FaultyLink
 from deltaq_emulator.panel import REQUESTS, Panel
 from deltaq_emulator.recorder import CsvRecorder
 from deltaq_protocol import topics
-from deltaq_protocol.guarded import Greeting, Health, Request, Supervision
+from deltaq_protocol.guarded import Health, Request, Supervision
 from deltaq_protocol.messages import Outcome, Phase, RobotState, Verdict
 from deltaq_protocol.rsi import TelegramError
 from deltaq_protocol.topic import Party, Realm
@@ -96,7 +96,7 @@ def test_all_kinds_of_messages_that_the_gate_takes_are_tried(moving):
     """A row of the table that is new has to be among them."""
     kinds = {
         row.message for row in topics.TOPICS if row.realm is Realm.GUARDED and Party.SIM in row.readers
-    } - {Health, Greeting, topics.AUDIT_ENTRY.message}
+    } - {Health, topics.AUDIT_ENTRY.message}
     moving.sim.restore(moving.gate)
     assert {type(message) for message in moving.to_the_gate()} == kinds
 

@@ -9,7 +9,6 @@ from deltaq_services.hli.places import (
     MAX_OF_A_PEER,
     MAX_STOP_PLACES,
     LineTurns,
-    Place,
     Places,
 )
 
@@ -69,16 +68,17 @@ def test_who_gets_a_lease_is_served_as_a_holder_and_once() -> None:
 def test_whoever_finds_no_place_may_stop_and_silent_ones_keep_nobody_out() -> None:
     places = Places[int]()
     given = [places.take(k, "127.0.0.1") for k in range(MAX_CONNECTIONS + 1000)]
-    assert [place for place, _ in given] == [Place.CLIENT] * MAX_CONNECTIONS + [Place.STOP_ALONE] * 1000
-    gave_way = [old for _, old in given if old is not None]
+    assert given == [True] * MAX_CONNECTIONS + [False] * 1000
+    kept = range(MAX_CONNECTIONS, MAX_CONNECTIONS + 1000)
+    gave_way = [old for old in map(places.keep_for_stop, kept) if old is not None]
     assert gave_way == list(range(MAX_CONNECTIONS, MAX_CONNECTIONS + 1000 - MAX_STOP_PLACES))
     assert places.leave(0)
     assert not places.leave(MAX_CONNECTIONS + 999)
-    assert places.take(-1, "127.0.0.1") == (Place.CLIENT, None)
+    assert places.take(-1, "127.0.0.1")
 
 
 def test_one_peer_elsewhere_does_not_take_all_places() -> None:
     places = Places[int]()
-    given = [places.take(k, "192.0.2.1")[0] for k in range(MAX_CONNECTIONS)]
-    assert given.count(Place.CLIENT) == MAX_OF_A_PEER
-    assert places.take(-1, "192.0.2.2") == (Place.CLIENT, None)
+    given = [places.take(k, "192.0.2.1") for k in range(MAX_CONNECTIONS)]
+    assert given.count(True) == MAX_OF_A_PEER
+    assert places.take(-1, "192.0.2.2")

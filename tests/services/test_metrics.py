@@ -16,11 +16,12 @@ import pytest
 from guarded_peer import GuardedPeer, guarded_peer
 from json_client import json_client
 from prometheus_client.parser import text_string_to_metric_families
-from small_cell import small_cell, told, tool_pose
+from small_cell import server_state, small_cell, told, tool_pose
 
 import deltaq_services
 from deltaq_protocol import topics
 from deltaq_protocol.client import connect
+from deltaq_protocol.codec import pack
 from deltaq_services.counters import CONSOLE, COUNTERS, HLI, ROBOT_SERVER, SIM
 from deltaq_services.hli.shell import Hli
 from deltaq_services.metrics.shell import Delays, Exporter
@@ -134,15 +135,16 @@ async def test_what_clients_tried_in_vain_is_told_by_what_it_was_and_why() -> No
         }
 
 
-async def test_forged_messages_of_the_guarded_realm_are_told_by_the_service_that_refused_them() -> None:
+async def test_stale_messages_of_the_guarded_realm_are_told_by_the_service_that_refused_them() -> None:
     async with running() as (peer, reader):
         key = topics.SERVER_STATE.key(peer.cell.cell, robot="fr")
+        once = peer._envelopes[peer._servers["fr"]].close(key, pack(server_state("fr")))
 
-        def forge_and_look(read: Samples) -> bool:
-            peer._sim.put(key, b"forged")
-            return bool(value(read, "deltaq_guarded_refused_total", service="hli", robot="", cause="forged"))
+        def repeat_and_look(read: Samples) -> bool:
+            peer._sim.put(key, once)
+            return bool(value(read, "deltaq_guarded_refused_total", service="hli", robot="", cause="stale"))
 
-        await reader.until(forge_and_look)
+        await reader.until(repeat_and_look)
 
 
 async def test_cycles_of_the_brake_are_told_by_their_cause() -> None:

@@ -46,10 +46,10 @@ class Bench:
         self.read = b""
         self.clients: list[socket.socket] = []
         loop = asyncio.get_running_loop()
-        self.newcomers = Newcomers(loop, lambda: Taken(self), self._stop, self.counters, self.per_second)
+        self.newcomers = Newcomers(loop, self._begin, self.counters, self.per_second)
 
-    def _stop(self) -> Taken:
-        self.begun_for_stops += 1
+    def _begin(self, brings_stop: bool) -> Taken:
+        self.begun_for_stops += brings_stop
         return Taken(self)
 
     def connected(self, says: bytes = b"") -> socket.socket:

@@ -18,7 +18,7 @@ from deltaq_protocol import topics
 from deltaq_protocol.guarded import Supervision
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_protocol.session import open_session
+from deltaq_services.guarded_realm import open_watching_session
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.guarded_link import GuardedLink
 from deltaq_services.robot_server.krc_socket import KrcSocket, RsiRobot
@@ -32,11 +32,10 @@ class Rig:
     """A Robot Server's parts as the process puts them together, and a KRC."""
 
     def __init__(self) -> None:
-        link_port, krc_port = free_ports(2)
+        (krc_port,) = free_ports(1)
         robot = CELL.robots["fr"]
         driver = robot.driver.model_copy(update={"port": krc_port})
-        self.endpoint = f"tcp/127.0.0.1:{link_port}"
-        robot = robot.model_copy(update={"server": self.endpoint, "driver": driver})
+        robot = robot.model_copy(update={"driver": driver})
         cell = CELL.model_copy(update={"robots": {**CELL.robots, "fr": robot}})
         self.server = RobotServer(cell, "fr", process=1)
         self.rsi = RsiDriver(sensor_codec(cell, "fr", XML), cell, "fr", self.server.counters)
@@ -110,7 +109,7 @@ def test_a_telegram_is_answered_once_and_decided_on_once(rig):
 
 @pytest.mark.parametrize("topic", [topics.ADMISSION, topics.SUPERVISION])
 def test_messages_that_wait_are_opened_before_the_answer(rig, topic):
-    session = open_session(connect=[rig.endpoint], must_connect=True)
+    session = open_watching_session(CELL, "robot-server-fr")
     came = threading.Event()
     watching = rig.link._session.declare_subscriber(topic.key(CELL.cell, robot="fr"), lambda _: came.set())
     try:
@@ -120,7 +119,7 @@ def test_messages_that_wait_are_opened_before_the_answer(rig, topic):
         watching.undeclare()
         session.close()
     rig.cycle()
-    assert rig.server.counters.keys() & {"forged_admission", "forged_supervision"}
+    assert rig.server.counters.keys() & {"invalid_admission", "invalid_supervision"}
 
 
 def test_a_reply_that_the_guard_refuses_repeats_the_last_correction_and_holds_the_robot(rig):

@@ -31,6 +31,7 @@ from deltaq_protocol.messages import (
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.session import open_session
 from deltaq_protocol.topic import Hertz, Party, Priority, Realm
+from deltaq_services.guarded_realm import open_watching_session
 from deltaq_services.hli.core import HliCore
 from deltaq_services.outputs import Sender, published
 from deltaq_services.rate_limit import Pace
@@ -189,7 +190,7 @@ class _Listened:
     def __init__(self) -> None:
         cell = small_cell()
         link = GuardedLink(cell, "fr", Counter())
-        listener = open_session(connect=[cell.robots["fr"].server], must_connect=True)
+        listener = open_watching_session(cell, "robot-server-fr")
         heard: queue.SimpleQueue[Any] = queue.SimpleQueue()
         states: queue.SimpleQueue[Any] = queue.SimpleQueue()
         listener.declare_subscriber(topics.HEALTH.key("small"), heard.put)

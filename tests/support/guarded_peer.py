@@ -14,11 +14,13 @@ from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
 from deltaq_protocol.audit import AuditEntry
 from deltaq_protocol.codec import pack, unpack
+from deltaq_protocol.envelope import Envelopes, message_in, sender_of
 from deltaq_protocol.guarded import Command, CommandReply, Health, Plan, Request
 from deltaq_protocol.messages import Message, Outcome, Phase, Verdict
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_protocol.sayings import HLI, SIM, robot_server
 from deltaq_protocol.session import declare_publisher, open_session
-from deltaq_services.guarded_key import guarded_seal
+from deltaq_services.guarded_realm import guarded_links
 
 
 class GuardedPeer:
@@ -51,9 +53,16 @@ class GuardedPeer:
         self._last_due = dict.fromkeys(cell.robots, 0)
         self._alive: dict[str, asyncio.Event] = {name: asyncio.Event() for name in cell.robots}
         self._loop = asyncio.get_running_loop()
-        self._servers = {name: open_session(listen=[robot.server]) for name, robot in cell.robots.items()}
-        self._sim = open_session(listen=[cell.sim])
-        self.seal = guarded_seal(cell)
+        links = guarded_links(cell)
+        self._servers = {name: open_session(listen=[links[robot_server(name)]]) for name in cell.robots}
+        self._sim = open_session(listen=[links[SIM]])
+        self._envelopes = {
+            session: Envelopes(service, cell.cell, tuple(cell.robots))
+            for service, session in [
+                (SIM, self._sim),
+                *((robot_server(name), session) for name, session in self._servers.items()),
+            ]
+        }
         self._publishers: dict[str, Any] = {}
         self._subscribers = [
             # before requests, so that who has had one answered is known to be heard here too
@@ -61,7 +70,6 @@ class GuardedPeer:
             self._subscribe(topics.REQUEST.key(cell.cell), self._on_request),
             self._subscribe(topics.COMMAND.key(cell.cell), self._on_command),
             self._subscribe(topics.HEALTH.key(cell.cell, service="hli"), self._on_health),
-            self._subscribe(topics.GREETING.key(cell.cell), lambda _: None),
         ]
 
     async def turn(self, robot: str = "fr", cycles: int = 1) -> int:
@@ -139,8 +147,10 @@ class GuardedPeer:
         self._publish(self._sim, key, message)
 
     def publish_bytes(self, key: str, payload: bytes) -> None:
-        """Publish what is no message, sealed, as the SIM."""
-        self._sim.put(key, self.seal.close(key, payload))
+        """Publish what is no message, enclosed, as the SIM or as the Robot Server whose state it should be."""
+        *_, robot, what = key.split("/")
+        session = self._servers[robot] if what == "state" else self._sim
+        session.put(key, self._envelopes[session].close(key, payload))
 
     def close(self) -> None:
         """Vanish."""
@@ -151,18 +161,18 @@ class GuardedPeer:
 
     def _publish(self, session: Any, key: str, message: Message) -> None:
         if key not in self._publishers:
-            self._publishers[key] = declare_publisher(session, key, self.seal)
+            self._publishers[key] = declare_publisher(session, key, self._envelopes[session])
         self._publishers[key].put(pack(message))
 
     def _subscribe(self, key: str, take: Callable[[bytes], None]) -> Any:
-        def open_and_take(key: str, sealed: bytes) -> None:
-            self.seal.meet(key, sealed)
-            take(self.seal.read(key, sealed))
+        def open_and_take(enclosed: bytes) -> None:
+            # whoever it is for: an HLI is answered from its first message on
+            self._envelopes[self._sim]._present[HLI] = sender_of(enclosed)
+            take(message_in(enclosed))
 
         def put(sample: zenoh.Sample) -> None:
             if not self._loop.is_closed():
-                key, sealed = str(sample.key_expr), sample.payload.to_bytes()
-                self._loop.call_soon_threadsafe(open_and_take, key, sealed)
+                self._loop.call_soon_threadsafe(open_and_take, sample.payload.to_bytes())
 
         return self._sim.declare_subscriber(key, zenoh.handlers.Callback(put, indirect=False))
 

@@ -20,7 +20,6 @@ from deltaq_deploy.launch.private_cell import write_private_cell
 from deltaq_deploy.launch.services import Role, Service, cell_services
 from deltaq_protocol.errors import RefusedError
 from deltaq_protocol.messages import Phase
-from deltaq_services.guarded_key import KEY_FILE
 from deltaq_testing.oracle import record_cycle_s
 
 MOVER = Path(__file__).with_name("mover.py")
@@ -168,20 +167,18 @@ def live_stack(
     *,
     moving=False,
     base=None,
-    guarded="127.0.0.1",
-    transport="tcp",
+    encrypted_at=None,
     rewired=lambda services, file: services,
 ):
     """Start a cell; `moving` adds a controller that swings A1 of the floor robot for ever.
 
-    `guarded` is where HLI, SIM and Robot Servers meet, over `transport`; on the loopback by a key that this launch
-    makes. `base` is a patient lab if none is given. `rewired` may change the services before they start; it is given
-    the cell's file too.
+    HLI, SIM and Robot Servers meet at Unix sockets, or over TLS at the address `encrypted_at`. `base` is a patient lab
+    if none is given. `rewired` may change the services before they start; it is given the cell's file too.
     """
     if base is None:
         base = folder / "patient.yaml"
         base.write_text(PATIENT)
-    file = write_private_cell(folder, base, guarded, transport)
+    file = write_private_cell(folder, base, encrypted_at)
     cell = CellModel.load(file)
     record = folder / "fr.csv"
     services = [
@@ -191,12 +188,7 @@ def live_stack(
         for service in cell_services(cell.description, str(file))
     ]
     services = [*rewired(services, file), *([mover(cell.description)] if moving else [])]
-    with (
-        pytest.MonkeyPatch.context() as environment,
-        Launcher(services, lambda name, line: print(name, line, file=sys.stderr)) as launcher,
-    ):
-        if guarded == "127.0.0.1":
-            environment.delenv(KEY_FILE, raising=False)
+    with Launcher(services, lambda name, line: print(name, line, file=sys.stderr)) as launcher:
         launcher.start()
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as panel:
             panel.settimeout(30)

@@ -61,10 +61,9 @@ def small_cell(**changes: Any) -> CellDescription:
         "cell": "small",
         "cycle_s": 0.012,
         "robots": {
-            "fr": {"model": "kr16", "server": endpoint(), "driver": driver, "joints": arm},
+            "fr": {"model": "kr16", "driver": driver, "joints": arm},
             "gr": {
                 "model": "kr16_gantry",
-                "server": endpoint(),
                 "driver": driver,
                 "joints": gantry | arm,
                 "outputs": ["gripper"],
@@ -73,7 +72,6 @@ def small_cell(**changes: Any) -> CellDescription:
         },
         "contacts": {"gripper_on_valves": {"bodies": ["gr/gripper"], "against": ["structure/valve"]}},
         "hli": endpoint(),
-        "sim": endpoint(),
         "tcp_port": free_port(),
     }
     return CellDescription.model_validate(fields | changes)

@@ -46,8 +46,8 @@ def topics() -> str:
             table(("topic", "what", "who may"), rights),
             "## Guarded realm",
             "HLI, SIM and Robot Servers alone speak here, each key has one sender, and"
-            " [seals](../explanation/security.md#the-seal) prove it. A client needs none of this;"
-            " `deltaq schema` prints the fields.",
+            " Unix permissions or [certificates](../explanation/security.md#identities) see to it. A client needs none"
+            " of this; `deltaq schema` prints the fields.",
             _table_of(Realm.GUARDED),
         ]
     )

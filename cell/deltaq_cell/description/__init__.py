@@ -6,6 +6,7 @@ its siblings.
 """
 
 from deltaq_cell.description.bodies import (
+    LOCAL,
     Attachment,
     Body,
     BoxShape,
@@ -37,6 +38,7 @@ from deltaq_cell.description.robot import (
 from deltaq_protocol.messages import Name, Vector3
 
 __all__ = [
+    "LOCAL",
     "MOST_ROBOTS",
     "Attachment",
     "Body",

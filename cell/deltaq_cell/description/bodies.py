@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import partial
 from typing import Annotated, Literal
 
@@ -14,14 +15,14 @@ from deltaq_protocol.messages import Name, Vector3
 # Base of all parts of a cell's description, and the types of their fields.
 
 
-def _listens_over(transports: tuple[str, ...], text: str) -> str:
+def _listens_over(transports: tuple[str, ...], text: str, pattern: str = "") -> str:
     try:
         is_one = Endpoint.parse(text).transport in transports
     except InvalidEndpointError:
         is_one = False
     if not is_one:
         *most, last = (f"{transport}/HOST:PORT" for transport in transports)
-        forms = {"pattern": f"{', '.join(most)} or {last}"}
+        forms = {"pattern": pattern or f"{', '.join(most)} or {last}"}
         raise PydanticCustomError("endpoint", "should be {pattern}, with a port of 1 to 65535", forms)
     return text
 
@@ -32,8 +33,17 @@ JointName = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z
 """As its URDF names it."""
 EndpointText = Annotated[str, AfterValidator(partial(_listens_over, ("tcp", "tcp+udp", "tls")))]
 """Of the open realm; `tcp+udp` where the network loses packets, `tls` where clients have identities."""
-GuardedEndpointText = Annotated[str, AfterValidator(partial(_listens_over, ("tcp", "tls")))]
-"""Of the guarded realm; `tls` where its services have identities."""
+LOCAL = "local"
+_LOCAL = re.compile(r"local(/[A-Za-z0-9_-]{1,64})?")
+
+
+def _listens_guarded(text: str) -> str:
+    return text if _LOCAL.fullmatch(text) else _listens_over(("tcp", "tls"), text, "local or tls/HOST:PORT")
+
+
+GuardedEndpointText = Annotated[str, AfterValidator(_listens_guarded)]
+"""Of the guarded realm: `local`, a Unix socket in the folder of the launch, or `local/NAME` to name it; `tls/HOST:PORT`
+where services run on several machines and have identities. `tcp/` on the loopback is read as `local`."""
 
 
 class DescriptionModel(BaseModel):

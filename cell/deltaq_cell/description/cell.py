@@ -7,6 +7,7 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from deltaq_cell.description.bodies import (
+    LOCAL,
     Body,
     DescriptionModel,
     EndpointText,
@@ -105,8 +106,8 @@ class CellDescription(DescriptionModel):
     hli: EndpointText = "tcp/127.0.0.1:7447"
     """Where the HLI serves zenoh clients; with `tcp+udp` streams go over UDP, for networks that lose packets; with
     `tls` it is encrypted, and only clients with an identity of the cell can connect."""
-    sim: GuardedEndpointText = "tcp/127.0.0.1:7450"
-    """Where the SIM listens in the guarded realm."""
+    sim: GuardedEndpointText = LOCAL
+    """Where the SIM listens in the guarded realm: on this machine, or at `tls/HOST:PORT`."""
     tcp_address: str = "127.0.0.1"
     tcp_port: Annotated[int, Field(ge=1, le=65535)] = 5210
     """Where the HLI serves JSON lines."""

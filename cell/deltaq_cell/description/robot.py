@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
 from deltaq_cell.description.bodies import (
+    LOCAL,
     Attachment,
     Camera,
     DescriptionModel,
@@ -200,8 +201,8 @@ class RobotDescription(DescriptionModel):
 
     model: str
     """A model's name (`kr16`), the path of a URDF file, or `package://` and a path within a package."""
-    server: GuardedEndpointText
-    """Endpoint at which its Robot Server listens for SIM and HLI."""
+    server: GuardedEndpointText = LOCAL
+    """Where its Robot Server listens for SIM and HLI: on this machine, or at `tls/HOST:PORT`."""
     driver: Driver
     joints: Annotated[dict[JointName, JointDescription], Field(min_length=1)]
     """In the joint order of the model."""

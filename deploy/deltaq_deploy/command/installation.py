@@ -125,29 +125,17 @@ def check(
 
 
 def _with_identity(report: CheckReport) -> CheckReport:
-    """The same with what is wrong with the identity, or the one key, that the environment names."""
+    """The same with what is wrong with the identity that the environment names."""
     import os
     from dataclasses import replace
 
     from deltaq_cell.load import load_cell
     from deltaq_cell.problems import Problem
     from deltaq_protocol.certified.names import IDENTITY
-    from deltaq_services.guarded_key import KEY_FILE, off_loopback
 
     named = os.environ.get(IDENTITY)
-    if not report.ok:
+    if not report.ok or not named:
         return report
-    if not named:
-        leaves = off_loopback(load_cell(report.cell))
-        if leaves is None or not os.environ.get(KEY_FILE):
-            return report
-        text = (
-            f"one key for all services, and {leaves} leaves this machine: who breaks into one of its machines can "
-            f"speak as every service; `deltaq keys {report.cell} --to FOLDER` makes an identity each ({IDENTITY})"
-        )
-        return replace(
-            report, problems=(*report.problems, Problem(KEY_FILE, 0, "", text, severity="warning"))
-        )
     from deltaq_services.service_identity import identity_faults
 
     faults = identity_faults(load_cell(report.cell), Path(named))
@@ -197,16 +185,11 @@ def key(
     file: Annotated[Path, typer.Argument(help="File to write.")],
     keep: Annotated[bool, typer.Option("--keep", help="Keep a key that exists already.")] = False,
 ) -> None:
-    """Make one key for services that are started one by one, in a file that only its owner may read.
+    """Make a random secret, such as a token, in a file that only its owner may read."""
+    from deltaq_deploy.launch.given_tokens import write_new_secret
 
-    On several machines give each service an identity of its own instead: `deltaq keys`.
-    """
-    from deltaq_services.guarded_key import KEY_FILE, write_new_key
-
-    write_new_key(file, keep=keep)
-    typer.echo(
-        f"{file}: set {KEY_FILE} to its path for HLI, SIM and every Robot Server, on each of their machines"
-    )
+    write_new_secret(file, keep=keep)
+    typer.echo(f"{file}: give its path as a token's, for example in DELTAQ_OPERATOR_TOKEN_FILE")
 
 
 def doctor(cell: CellOption = "lab", json: JsonOption = False) -> None:

@@ -26,14 +26,14 @@ from deltaq_deploy.launch.services import (
     demo_controllers,
     metrics_exporter,
 )
+from deltaq_protocol.certified.names import IDENTITY
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.given_token import CLIENT_TOKEN, OPERATOR_TOKEN
 from deltaq_services.console.settings import CONSOLE_TOKEN
-from deltaq_services.guarded_key import KEY_FILE, off_loopback
+from deltaq_services.guarded_realm import GUARDED_FOLDER
 from deltaq_services.hli.audit import audit_file_name
 from deltaq_services.hli.client_roles import CONTROLLER_TOKEN
-from deltaq_services.hli.line_encryption import CERTIFICATE_FILE
-from deltaq_services.hli.line_encryption import KEY_FILE as LINES_KEY_FILE
+from deltaq_services.hli.line_encryption import CERTIFICATE_FILE, KEY_FILE
 from deltaq_services.process import AUDIT_FILE
 
 DEPLOY = Path(__file__).parents[3] / "deploy"
@@ -60,11 +60,10 @@ REAL_TIME_HEADER = """\
 #   docker compose -f deploy/compose.yaml -f deploy/realtime.yaml up --wait
 """
 
-KEY_MAKER = "guarded-key"
-"""The service that makes the guarded realm's key for the others, if it is not there yet."""
 ADDRESS = "address"
 """The service of the demonstration that prints where the console is."""
-_KEY_VOLUME, _KEY_FOLDER = "guarded", "/run/deltaq"
+_GUARDED_VOLUME, _GUARDED_FOLDER = "guarded", "/run/deltaq"
+_IDENTITY_FOLDER = "/run/identity"
 _AUDIT_VOLUME, _AUDIT_FOLDER = "audit", "/var/lib/deltaq"
 _BUILD = {"context": "..", "dockerfile": "deploy/Dockerfile"}
 
@@ -75,18 +74,17 @@ _TOKENS = {
 _CONTROLLER_ROLES = (Role.LEADER, Role.FOLLOWER)
 _MAKES_TOKEN = "name a file with a token"
 _MAKES = {
-    KEY_FILE: "name a file made with `deltaq key`",
     CERTIFICATE_FILE: "name a certificate",
-    LINES_KEY_FILE: "name the private key of the certificate",
+    KEY_FILE: "name the private key of the certificate",
 }
 
 
 def compose_document(cell_name: str = CELL) -> dict[str, Any]:
     """The compose document of a cell: one container a service.
 
-    Those that speak in the guarded realm share its key. On the loopback the first container makes it, in a volume of
-    theirs; where the realm leaves the loopback, it is a secret that the user gives. So are tokens and the certificate
-    of the lines, where the cell needs them.
+    Those that speak in the guarded realm meet in a volume that no other container has. Tokens and the certificate of
+    the lines, where the cell needs them, are secrets that the user gives; so are the services' identities, if the
+    guarded realm is on several machines.
     """
     cell = load_cell(cell_name)
     services = _services(cell, cell_name)
@@ -105,23 +103,22 @@ def compose_document(cell_name: str = CELL) -> dict[str, Any]:
     hli["volumes"] = [*hli.get("volumes", []), f"{_AUDIT_VOLUME}:{_AUDIT_FOLDER}"]
     volumes: dict[str, Any] = {_AUDIT_VOLUME: {}}
     guarded = [service for service in services if service.role in GUARDED_ROLES]
-    if off_loopback(cell) is None:
-        file = f"{_KEY_FOLDER}/guarded.key"
-        for one in (document[service.name] for service in guarded):
-            one["environment"][KEY_FILE] = file
-            one["volumes"] = [*one.get("volumes", []), f"{_KEY_VOLUME}:{_KEY_FOLDER}:ro"]
-            made = {KEY_MAKER: {"condition": "service_completed_successfully"}}
-            one["depends_on"] = made | one.get("depends_on", {})
-        document = {KEY_MAKER: _key_maker(file)} | document
-        volumes = {_KEY_VOLUME: {}} | volumes
+    for service in guarded:
+        one = document[service.name]
+        if service.realm is None:
+            one["environment"][IDENTITY] = _IDENTITY_FOLDER
+            given_folder = f"${{{IDENTITY}:?name the folder that `deltaq keys` wrote}}/{service.name}"
+            mounted = f"{given_folder}:{_IDENTITY_FOLDER}:ro"
+        else:
+            one["environment"][GUARDED_FOLDER] = _GUARDED_FOLDER
+            mounted = f"{_GUARDED_VOLUME}:{_GUARDED_FOLDER}"
+            volumes = {_GUARDED_VOLUME: {}} | volumes
+        one["volumes"] = [*one.get("volumes", []), mounted]
     given: dict[str, Any] = {}
-    if off_loopback(cell) is not None:
-        for service in guarded:
-            _give(document[service.name], given, KEY_FILE)
     if cell.clients_need_tokens:
         _give_tokens(document, given, (*services, *controllers))
         if not is_loopback(cell.tcp_address):
-            _give(hli, given, CERTIFICATE_FILE, LINES_KEY_FILE)
+            _give(hli, given, CERTIFICATE_FILE, KEY_FILE)
     elif not is_loopback(cell.console_address):
         _give(document["console"], given, f"{CONSOLE_TOKEN}_FILE")
     # all others wait for the first, directly or not, and find its image
@@ -197,16 +194,6 @@ def _give_tokens(document: dict[str, Any], given: dict[str, Any], services: Sequ
 
 def _secret_of(variable: str) -> str:
     return variable.lower().removesuffix("_file").replace("_", "-")
-
-
-def _key_maker(file: str) -> dict[str, Any]:
-    return HARDENED | {
-        "command": ["deltaq", "key", file, "--keep"],
-        "network_mode": "none",
-        "mem_limit": "384m",
-        "pids_limit": 32,
-        "volumes": [f"{_KEY_VOLUME}:{_KEY_FOLDER}"],
-    }
 
 
 def _address(console: Service) -> dict[str, Any]:

@@ -15,11 +15,13 @@ from pathlib import Path
 from deltaq_deploy.launch.errors import LaunchError
 from deltaq_protocol.given_token import CLIENT_TOKEN, OPERATOR_TOKEN, given_token
 from deltaq_protocol.role_prover import environment_has_role
+from deltaq_protocol.secret_file import faults_of_secret
 from deltaq_services.console.settings import CONSOLE_TOKEN
 from deltaq_services.hli.client_roles import CONTROLLER_TOKEN
 from deltaq_services.runtime_folder import runtime_folder
 
 _TOKEN_BYTES = 24
+_SECRET_BYTES = 32
 
 
 def console_needs_token(environment: Mapping[str, str] = os.environ) -> bool:
@@ -69,6 +71,32 @@ class ConsoleToken:
         """The console has ended."""
         for file in (self.file, self.file.with_suffix(".html")):
             file.unlink(missing_ok=True)
+
+
+def write_new_secret(file: Path, *, keep: bool = False) -> None:
+    """Write a random secret, in a file that only its owner may read.
+
+    Args:
+        file: to write.
+        keep: do not replace an existing secret.
+
+    Raises:
+        LaunchError: the file cannot be written, it exists and `keep` is false, or what is kept is no secret.
+    """
+    try:
+        descriptor = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    except FileExistsError:
+        if not keep:
+            raise LaunchError(
+                f"{file} exists already; a secret is never overwritten, name another file"
+            ) from None
+        if faults := faults_of_secret(file.stat(), file, "deltaq key"):
+            raise LaunchError(f"{file} {faults[0]}") from None
+        return
+    except OSError as error:
+        raise LaunchError(f"{file} cannot be written: {error.strerror}") from error
+    with os.fdopen(descriptor, "w", encoding="ascii") as opened:
+        opened.write(secrets.token_hex(_SECRET_BYTES) + "\n")
 
 
 def _write_anew(file: Path, text: str) -> None:

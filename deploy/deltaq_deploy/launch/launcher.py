@@ -7,6 +7,7 @@ import json
 import math
 import os
 import queue
+import shutil
 import signal
 import socket
 import sys
@@ -14,20 +15,19 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Self
 
 from deltaq_deploy.launch.child_process import Child, Exited, Lifeline, Ready
 from deltaq_deploy.launch.errors import LaunchError, LaunchInterruptedError
 from deltaq_deploy.launch.given_tokens import ConsoleToken, console_needs_token, controllers_token
-from deltaq_deploy.launch.launch_key import LaunchKey
 from deltaq_deploy.launch.services import BRAKING_ROLES, OPTIONAL_ROLES, ListeningSocket, Role, Service
 from deltaq_deploy.launch.warden import Warden
-from deltaq_protocol.certified.names import IDENTITY
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.log import RESULT, read_json_line
 from deltaq_services.console.settings import CONSOLE_TOKEN
-from deltaq_services.guarded_key import KEY_FILE
+from deltaq_services.guarded_realm import GUARDED_FOLDER, guarded_folder
 from deltaq_services.robot_server.crash_brake.core import PORT_PATIENCE_S
 
 SHOWN_LINES = 12
@@ -85,7 +85,7 @@ class Launcher:
             launcher.start()
             launcher.wait()
 
-    Services of a guarded realm get a key that this launch makes, unless the environment names one: see `LaunchKey`;
+    Services of a guarded realm meet in a folder that this launch makes, and removes at its end;
     consoles and controllers get the tokens that `given_tokens` tells of.
     SIGINT, SIGTERM and SIGHUP are events inside the block if the thread is the main one; or they raise
     KeyboardInterrupt there, for whoever does not wait for events. Should this process be killed, its warden ends the
@@ -125,7 +125,7 @@ class Launcher:
         self._handlers: dict[signal.Signals, Any] = {}
         self._warden: Warden | None = None
         self._lifelines: dict[str, Lifeline] = {}
-        self._keys: dict[str, LaunchKey] = {}
+        self._folders: dict[str, Path] = {}
         self.console_token: ConsoleToken | None = None
 
     def __enter__(self) -> Self:
@@ -143,8 +143,9 @@ class Launcher:
         finally:
             if self._warden is not None:
                 self._warden.close()
-            while self._keys:
-                self._keys.popitem()[1].close()
+            for folder in self._folders.values():
+                if not any(_is_listened_at(path) for path in folder.glob("*.sock")):  # by another launch
+                    shutil.rmtree(folder, ignore_errors=True)
             if self.console_token is not None:
                 self.console_token.close()
             for number, handler in self._handlers.items():
@@ -161,7 +162,7 @@ class Launcher:
 
         Raises:
             LaunchError: if a port is taken, or a service ends or does nothing instead of serving.
-            GuardedKeyError: if the guarded realm's key can be kept from nobody.
+            RuntimeFolderError: if others may enter the folder of the guarded realm.
             LaunchInterruptedError: if a signal came first.
         """
         self._start(self.services, idle_s)
@@ -295,7 +296,7 @@ class Launcher:
                 [*self._python, *service.arguments],
                 self._events.put,
                 self._on_line,
-                environment=self._secrets_of(service),
+                environment=self._environment_of(service),
                 is_ordinary=service.role is Role.CONSOLE,
                 lifeline=self._lifelines.pop(service.name, None),
                 outlived_by=[self._lifelines.setdefault(name, Lifeline()) for name in emulated],
@@ -342,18 +343,20 @@ class Launcher:
             else:
                 return
 
-    def _secrets_of(self, service: Service) -> dict[str, str]:
-        """What a service's environment has of secrets, besides those that the user gave."""
+    def _environment_of(self, service: Service) -> dict[str, str]:
+        """What a service's environment has, besides what the user gave."""
         if service.role is Role.CONSOLE and console_needs_token():
             self.console_token = self.console_token or ConsoleToken(service.listens[0].port)
             return {f"{CONSOLE_TOKEN}_FILE": str(self.console_token.file)}
         if service.role in (Role.LEADER, Role.FOLLOWER):
             return controllers_token(os.environ)
-        if service.realm is None or os.environ.get(KEY_FILE) or os.environ.get(IDENTITY):
-            return {}
-        if service.realm not in self._keys:
-            self._keys[service.realm] = LaunchKey(service.realm)
-        return {KEY_FILE: str(self._keys[service.realm].file)}
+        return {} if service.realm is None else {GUARDED_FOLDER: str(self._folder_of(service.realm))}
+
+    def _folder_of(self, realm: str) -> Path:
+        """The folder in which the services of a realm meet; a launch that joins another finds it there."""
+        if realm not in self._folders:
+            self._folders[realm] = guarded_folder(realm)
+        return self._folders[realm]
 
     def _quote(self, name: str) -> str:
         lines = self.last_lines(name)
@@ -385,6 +388,11 @@ def check_ports(services: Iterable[Service]) -> None:
                     f" ({error.strerror}); is another cell up (`deltaq status`)? Otherwise change"
                     f" `{listener.field}` in the cell's file"
                 ) from error
+
+
+def _is_listened_at(path: Path) -> bool:
+    with socket.socket(socket.AF_UNIX) as probe:
+        return probe.connect_ex(str(path)) == 0
 
 
 def _bind(listener: ListeningSocket) -> None:

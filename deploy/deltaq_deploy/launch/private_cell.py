@@ -16,7 +16,7 @@ from typing import Any
 
 import yaml
 
-from deltaq_cell.description import RsiDescription
+from deltaq_cell.description import LOCAL, RsiDescription
 from deltaq_cell.load import find_cell, load_cell
 from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.errors import DeltaqError
@@ -89,16 +89,13 @@ def _is_free(port: int) -> bool:
     return True
 
 
-def write_private_cell(
-    folder: Path, base: str | Path = "lab", guarded: str = "127.0.0.1", transport: str = "tcp"
-) -> Path:
+def write_private_cell(folder: Path, base: str | Path = "lab", encrypted_at: str | None = None) -> Path:
     """Write a cell file that differs from another cell by its ports, and by where the guarded realm listens.
 
     Args:
         folder: to write it to.
         base: name or file of the other cell.
-        guarded: address of SIM and Robot Servers.
-        transport: of the guarded realm.
+        encrypted_at: address of SIM and Robot Servers, over TLS; None: they listen at Unix sockets.
 
     Raises:
         CellError: there is no such cell.
@@ -107,16 +104,20 @@ def write_private_cell(
     file = find_cell(base)
     description = load_cell(file)
     rsi = {name: isinstance(robot.driver, RsiDescription) for name, robot in description.robots.items()}
+
+    def guarded(port: int) -> str:
+        return LOCAL if encrypted_at is None else f"tls/{encrypted_at}:{port}"
+
     hli, sim, tcp, console, *ports = free_ports(4 + sum(3 if has_krc else 1 for has_krc in rsi.values()))
     robots: dict[str, dict[str, Any]] = {}
     for name, has_krc in rsi.items():
-        robots[name] = {"server": f"{transport}/{guarded}:{ports.pop(0)}"}
+        robots[name] = {"server": guarded(ports.pop(0))}
         if has_krc:
             robots[name] |= {"driver": {"port": ports.pop(0), "control_port": ports.pop(0)}}
     cell = {
         "extends": str(file.resolve()),
         "hli": f"{Endpoint.parse(description.hli).transport}/127.0.0.1:{hli}",
-        "sim": f"{transport}/{guarded}:{sim}",
+        "sim": guarded(sim),
         "tcp_port": tcp,
         "console_port": console,
         "robots": robots,

@@ -15,6 +15,7 @@ from deltaq_deploy.launch.services import Probe, Service
 from deltaq_protocol import topics
 from deltaq_protocol.codec import unpack
 from deltaq_protocol.endpoint import Endpoint
+from deltaq_protocol.envelope import message_in
 from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
 from deltaq_protocol.guarded import Health
 
@@ -54,7 +55,8 @@ def probe(service: Service, cell: CellDescription) -> ProbeAnswer:
     Raises:
         ServiceUnreachableError: if it does not answer within `TIMEOUT_S`.
         NoProbeError: if it has nothing to be asked at.
-        GuardedKeyError: if its answer is sealed, and there is no key to read it with.
+        GuardedRealmError: if it answers in a guarded realm that cannot be entered.
+        RuntimeFolderError: if the folder of the sockets is not this user's alone.
     """
     if service.probe is None or service.endpoint is None:
         raise NoProbeError(f"{service.name} has no health to ask for")
@@ -74,11 +76,9 @@ def probe(service: Service, cell: CellDescription) -> ProbeAnswer:
 def _ask_health_topic(name: str, endpoint: str, cell: CellDescription) -> ProbeAnswer:
     import zenoh
 
-    from deltaq_services.guarded_key import guarded_seal
-    from deltaq_services.guarded_session import open_watching_session
+    from deltaq_services.guarded_realm import open_watching_session
 
-    seal = guarded_seal(cell, watched=name)
-    session = open_watching_session(cell, [endpoint], watched=name)
+    session = open_watching_session(cell, name)
     try:
         key = topics.HEALTH.key(cell.cell, service=name)
         with session.declare_subscriber(key, zenoh.handlers.FifoChannel(4)) as subscriber:
@@ -87,7 +87,7 @@ def _ask_health_topic(name: str, endpoint: str, cell: CellDescription) -> ProbeA
                 if time.monotonic() > deadline:
                     raise _silent(name, endpoint)
                 time.sleep(0.01)
-            health = unpack(Health, seal.read(key, sample.payload.to_bytes()))
+            health = unpack(Health, message_in(sample.payload.to_bytes()))
             return ProbeAnswer(health.healthy, health.detail)
     finally:
         session.close()

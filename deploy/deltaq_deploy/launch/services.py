@@ -14,7 +14,7 @@ from typing import Literal
 from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.errors import DeltaqError
-from deltaq_services.guarded_key import realm_of
+from deltaq_services.guarded_realm import realm_of
 
 
 class Role(StrEnum):
@@ -40,7 +40,7 @@ OPTIONAL_ROLES = (Role.CONSOLE, Role.METRICS)
 
 
 GUARDED_ROLES = (Role.ROBOT_SERVER, Role.SIM, Role.HLI)
-"""What speaks in the guarded realm, and needs its key."""
+"""What speaks in the guarded realm."""
 
 
 class Probe(StrEnum):
@@ -85,9 +85,9 @@ class Service:
         listens: sockets that must be free before it starts.
         robot: the one it serves; None if it serves the whole cell.
         probe: how to ask for its health; None for controllers, which come and go.
-        endpoint: where to ask, `tcp/HOST:PORT`, `udp/HOST:PORT` or `http://HOST:PORT`.
-        realm: the guarded realm that it speaks in, as `guarded_key.realm_of` names it; None if it speaks in none, or
-            in one that leaves this machine, whose key the user gives.
+        endpoint: where to ask, as the cell's file has it, or `udp/HOST:PORT` or `http://HOST:PORT`.
+        realm: the folder of sockets of its guarded realm, as `guarded_realm.realm_of` names it; None if it speaks in
+            none, or in one over TLS.
     """
 
     name: str
@@ -121,7 +121,7 @@ def cell_services(
     services: list[Service] = []
     for name, robot in cell.robots.items():
         server = f"robot-server-{name}"
-        listens = [*_sockets(robot.server, f"robots.{name}.server")]
+        listens = [*_guarded_sockets(robot.server, f"robots.{name}.server")]
         if isinstance(robot.driver, RsiDescription):
             driver = robot.driver
             listens.append(ListeningSocket("udp", driver.address, driver.port, f"robots.{name}.driver.port"))
@@ -145,7 +145,7 @@ def cell_services(
             role=Role.SIM,
             arguments=("-m", "deltaq_services.sim", *arguments),
             needs=tuple(service.name for service in services if service.role is Role.ROBOT_SERVER),
-            listens=_sockets(cell.sim, "sim"),
+            listens=_guarded_sockets(cell.sim, "sim"),
             probe=Probe.HEALTH_TOPIC,
             endpoint=cell.sim,
             realm=realm,
@@ -263,6 +263,10 @@ def _reached_at(address: str) -> str:
     everywhere = {"0.0.0.0": "127.0.0.1", "::": "::1"}
     host = everywhere.get(address, address)
     return f"[{host}]" if ":" in host else host
+
+
+def _guarded_sockets(endpoint: str, field: str) -> tuple[ListeningSocket, ...]:
+    return _sockets(endpoint, field) if endpoint.startswith("tls/") else ()
 
 
 def _sockets(endpoint: str, field: str) -> tuple[ListeningSocket, ...]:

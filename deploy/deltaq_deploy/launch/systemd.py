@@ -12,7 +12,7 @@ from pathlib import Path
 from deltaq_cell.find import find_cell
 from deltaq_cell.load import load_cell
 from deltaq_deploy.launch.services import Service, cell_services, console_service, metrics_exporter, select
-from deltaq_deploy.launch.unit import KEY_UNIT, TARGET, key_unit, name_of, target, unit
+from deltaq_deploy.launch.unit import TARGET, name_of, target, unit
 from deltaq_protocol.errors import DeltaqError
 
 FOLDER = Path(__file__).parents[3] / "deploy" / "systemd"
@@ -26,7 +26,7 @@ HEADER = (
 def units(
     cell_name: str = CELL, real: bool = False, python: Path = PYTHON, only: Sequence[str] = ()
 ) -> dict[str, str]:
-    """The units of a cell by file name: one a service, the key's where a key is made here, and a target for all.
+    """The units of a cell by file name: one a service, and a target for all.
 
     Args:
         cell_name: the name of the cell, or the absolute path of its file.
@@ -40,8 +40,6 @@ def units(
     services = _services(cell_name, real)
     chosen = select(services, only) if only else services
     texts = {name_of(service): unit(service, cell_name, python, chosen) for service in chosen}
-    if any(KEY_UNIT in text for text in texts.values()):
-        texts[KEY_UNIT] = key_unit(python)
     # metrics are for who has a Prometheus: they are there, and nobody starts them unasked
     texts[TARGET] = target(service for service in chosen if service.name != "metrics" or only)
     return {name: HEADER + text for name, text in sorted(texts.items())}

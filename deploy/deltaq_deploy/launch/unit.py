@@ -10,17 +10,17 @@ from deltaq_deploy.launch.resources import RESOURCES
 from deltaq_deploy.launch.services import GUARDED_ROLES, Role, Service
 from deltaq_protocol.heartbeat import PERIOD_S
 from deltaq_services.console.settings import CONSOLE_TOKEN
-from deltaq_services.guarded_key import KEY_FILE
+from deltaq_services.guarded_realm import GUARDED_FOLDER
 from deltaq_services.process import AUDIT_FILE
 
 USER = "deltaq"
 TARGET = "deltaq.target"
-KEY_UNIT = "deltaq-key.service"
-KEY = "/run/deltaq/guarded.key"
+FOLDER = "deltaq"
+"""Of /run: HLI, SIM and Robot Servers meet there."""
 CONSOLE_FOLDER = "deltaq-console"
 """Of /run: the console's token is there for as long as the console is up."""
 SETTINGS = "/etc/deltaq/deltaq.env"
-"""Where whoever runs the cell sets variables of the environment: tokens' files, a key of their own."""
+"""Where whoever runs the cell sets variables of the environment, such as tokens' files."""
 STOPS_WITHIN_S = 20
 """Longer than a robot brakes, and than the process takes that brakes it in its Robot Server's stead."""
 _STARTS_WITHIN_S = 300
@@ -83,9 +83,6 @@ def unit(service: Service, cell_name: str, python: Path, here: Iterable[Service]
     """
     names = {other.name for other in here}
     needs = [f"deltaq-{name}.service" for name in service.needs if name in names]
-    needs_key = service.role in GUARDED_ROLES and service.realm is not None
-    if needs_key:
-        needs = [KEY_UNIT, *needs]
     of = f" of {service.robot}" if service.robot else ""
     lines = [
         "[Unit]",
@@ -101,30 +98,12 @@ def unit(service: Service, cell_name: str, python: Path, here: Iterable[Service]
         *_life(service),
         *_token(service, python),
         f"ExecStart={' '.join((str(python), *service.arguments))}",
-        *_environment(service, needs_key),
+        *_environment(service),
         *_limits(service.role),
         *_hardened(service.role, cell_name),
         "",
         "[Install]",
         f"WantedBy={TARGET}",
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def key_unit(python: Path) -> str:
-    """The unit that makes the guarded realm's key, which is there for as long as the cell is up."""
-    lines = [
-        "[Unit]",
-        "Description=deltaq key of the guarded realm",
-        f"PartOf={TARGET}",
-        "",
-        "[Service]",
-        "Type=oneshot",
-        "RemainAfterExit=yes",
-        "RuntimeDirectory=deltaq",
-        "RuntimeDirectoryMode=0700",
-        f"ExecStart={python.parent / 'deltaq'} key {KEY} --keep",
-        *_hardened(Role.METRICS, ""),
     ]
     return "\n".join(lines) + "\n"
 
@@ -166,13 +145,18 @@ def _token(service: Service, python: Path) -> Lines:
     ]
 
 
-def _environment(service: Service, needs_key: bool) -> Lines:
+def _environment(service: Service) -> Lines:
     lines = [
         "Environment=PYTHONUNBUFFERED=1 PYTHONDONTWRITEBYTECODE=1 XDG_CACHE_HOME=/var/cache",
         "CacheDirectory=deltaq",  # the machine code of what numba compiles
     ]
-    if needs_key:
-        lines.append(f"Environment={KEY_FILE}={KEY}")
+    if service.role in GUARDED_ROLES and service.realm is not None:
+        lines += [
+            f"Environment={GUARDED_FOLDER}=/run/{FOLDER}",
+            f"RuntimeDirectory={FOLDER}",
+            "RuntimeDirectoryMode=0700",
+            "RuntimeDirectoryPreserve=yes",  # the other services are still in it
+        ]
     if service.role is Role.HLI:
         lines += [
             f"Environment={AUDIT_FILE}=/var/lib/deltaq/audit.jsonl",

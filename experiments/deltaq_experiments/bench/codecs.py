@@ -1,11 +1,10 @@
-"""What a cycle's messages and telegrams cost to write, seal and read, beside bare libraries that do the like."""
+"""What a cycle's messages and telegrams cost to write and read, beside bare libraries that do the like."""
 
 from __future__ import annotations
 
 import gc
 import time
-from collections.abc import Callable, Mapping, Sequence
-from hashlib import blake2b
+from collections.abc import Callable
 from xml.parsers import expat
 
 import msgpack
@@ -13,13 +12,9 @@ import numpy as np
 
 from deltaq_experiments.bench.table import BenchRow
 from deltaq_experiments.bench.telegrams import standing_telegrams
-from deltaq_protocol import topics
 from deltaq_protocol.codec import pack, unpack
 from deltaq_protocol.guarded import Admission, Request, ServerState, Supervision
 from deltaq_protocol.messages import Increment, Message, RobotState, Verdict
-from deltaq_protocol.sayings import sayings, services
-from deltaq_protocol.seal import Seal
-from deltaq_protocol.seal_keys import KEY_BYTES, PairKeys, RealmKey, SealKeys
 from deltaq_services.outputs import ToTopic
 from deltaq_services.robot_server.rsi_driver import sensor_codec
 from deltaq_testing.virtual_cell.cell import VirtualCell
@@ -89,70 +84,6 @@ def messages(loaded: LoadedCell, robot: str, passes: int) -> BenchRow:
         references,
         no_bound_because="msgpack validates nothing, and this is 4 % of a cycle's time",
     )
-
-
-def seals(loaded: LoadedCell, robot: str, passes: int) -> list[BenchRow]:
-    """Sealing and opening the messages of one robot's cycle that pass in the guarded realm, each once.
-
-    Under one key, beside BLAKE2b; and under an identity for each service, beside one key.
-    """
-    guarded = {
-        topic.message: topic.key(loaded.model.description.cell, robot=robot)
-        for topic in (
-            topics.SERVER_STATE,
-            topics.REQUEST,
-            topics.SUPERVISION,
-            topics.ADMISSION,
-            topics.GATE_VERDICT,
-        )
-    }
-    known = [
-        (guarded[type(message)], pack(message))
-        for message in messages_of_a_cycle(loaded, robot)
-        if type(message) in guarded
-    ]
-    cell, robots = loaded.model.description.cell, tuple(loaded.model.robots)
-    key = bytes(KEY_BYTES)
-    one_key = _realm(cell, robots, dict.fromkeys(services(robots), RealmKey(key)))
-    secret = dict.fromkeys(services(robots), key)
-    each = _realm(cell, robots, {name: PairKeys(name, cell, robots, secret) for name in services(robots)})
-
-    def seal_and_open(seals: Mapping[str, Seal]) -> None:
-        for where, message in known:
-            sealed = seals[rows[where].speaker].close(where, message)
-            seals[rows[where].listeners[0]].open(where, sealed)
-
-    def bare() -> None:
-        for _, message in known:
-            blake2b(message, key=key).digest()
-            blake2b(message, key=key).digest()
-
-    rows = {row.key: row for row in sayings(cell, robots)}
-    what = f"the {len(known)} guarded messages of a cycle sealed and opened"
-    seconds, references = _in_turn(lambda: seal_and_open(one_key), bare, passes)
-    under_one_key = BenchRow.of(
-        what,
-        "BLAKE2b alone",
-        seconds,
-        references,
-        no_bound_because="BLAKE2b alone knows no key's owner and no order of messages",
-    )
-    seconds, references = _in_turn(lambda: seal_and_open(each), lambda: seal_and_open(one_key), passes)
-    under_identities = BenchRow.of(
-        f"{what} under identities", "the same under one key", seconds, references, at_most=1.25
-    )
-    return [under_one_key, under_identities]
-
-
-def _realm(cell: str, robots: Sequence[str], keys: Mapping[str, SealKeys]) -> dict[str, Seal]:
-    """The seals of a cell's services, of which each knows those that it speaks with."""
-    seals = {name: Seal(of_service) for name, of_service in keys.items()}
-    greetings = [row for row in sayings(cell, robots) if row.topic is topics.GREETING]
-    for row in greetings * 2:  # first of those that nobody has heard yet
-        greeting = seals[row.speaker].greet(row.key, b"")
-        for listener in row.listeners:
-            seals[listener].meet(row.key, greeting)
-    return seals
 
 
 def telegrams(loaded: LoadedCell, robot: str, passes: int) -> BenchRow:

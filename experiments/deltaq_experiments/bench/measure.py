@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from deltaq_experiments.bench.codecs import messages, seals, telegrams
+from deltaq_experiments.bench.codecs import messages, telegrams
 from deltaq_experiments.bench.decisions import near_obstacles, tracking
 from deltaq_experiments.bench.rsi_reply import CELL, ROBOT, rsi_reply
 from deltaq_experiments.bench.table import BenchTable
@@ -31,7 +31,6 @@ def run(
             rsi_reply(),
             telegrams(loaded, ROBOT, CODEC_PASSES),
             messages(loaded, ROBOT, CODEC_PASSES),
-            *seals(loaded, ROBOT, CODEC_PASSES),
             tracking(cell_name, cycles, on_cycle or (lambda _done, _of: None)),
             near_obstacles(),
         )

@@ -26,12 +26,13 @@ from deltaq_experiments.bench.table import BenchRow
 from deltaq_experiments.bench.telegrams import standing_telegrams
 from deltaq_protocol import topics
 from deltaq_protocol.codec import pack, unpack
+from deltaq_protocol.envelope import Envelopes
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.guarded import Admission, ServerState, Supervision
 from deltaq_protocol.real_time import SchedulingPriority, ask_for_real_time
-from deltaq_protocol.sayings import SIM
+from deltaq_protocol.sayings import SIM, robot_server
 from deltaq_protocol.session import declare_publisher, open_session
-from deltaq_services.guarded_key import guarded_seal
+from deltaq_services.guarded_realm import guarded_links
 from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 
 CELL, ROBOT = "lab-4ms", "gr"
@@ -122,20 +123,19 @@ def _at_priority(priority: SchedulingPriority) -> Iterator[None]:
 @contextmanager
 def _gate(cell: CellDescription) -> Iterator[None]:
     """Answers each state of the robot with a heartbeat and an admission, as early as the gate would."""
-    endpoint = cell.robots[ROBOT].server
+    endpoint = guarded_links(cell)[robot_server(ROBOT)]
     with _at_priority(SchedulingPriority.SIM):
         session = open_session(connect=[endpoint], must_connect=True)
-    seal, identity = guarded_seal(cell, SIM), str(content_identity(cell))
+    envelopes, identity = Envelopes(SIM, cell.cell, tuple(cell.robots)), str(content_identity(cell))
     state_key = topics.SERVER_STATE.key(cell.cell, robot=ROBOT)
     keys = {row: row.key(cell.cell, robot=ROBOT) for row in (topics.SUPERVISION, topics.ADMISSION)}
     heartbeats, admissions = (
-        declare_publisher(session, key, seal, row.priority) for row, key in keys.items()
+        declare_publisher(session, key, envelopes, row.priority) for row, key in keys.items()
     )
 
     def answer(sample: object) -> None:
-        sealed = sample.payload.to_bytes()  # type: ignore[attr-defined] # zenoh has no types
-        is_known = seal.meet(state_key, sealed)
-        state = unpack(ServerState, seal.read(state_key, sealed))
+        enclosed = sample.payload.to_bytes()  # type: ignore[attr-defined] # zenoh has no types
+        state = unpack(ServerState, envelopes.open(state_key, enclosed))
         heartbeat = Supervision(robot=ROBOT, epoch=1, cycle=state.cycle, cell=identity)
         admission = Admission(
             robot=ROBOT,
@@ -149,7 +149,7 @@ def _gate(cell: CellDescription) -> Iterator[None]:
             dq=state.dq,
             brake_cycles=1,
         )
-        (heartbeats.put if is_known else heartbeats.greet)(pack(heartbeat))
+        heartbeats.put(pack(heartbeat))
         admissions.put(pack(admission))
 
     subscriber = session.declare_subscriber(state_key, answer)

@@ -35,7 +35,6 @@ from deltaq_protocol.certified.names import (
     AUTHORITY,
     CERTIFICATE,
     KEY,
-    SERVICES,
     IdentityError,
     IdentityKind,
     kind_of,
@@ -154,7 +153,7 @@ def make_identities(
     Args:
         cell: name of the cell.
         to: folder that gets one folder for each identity.
-        services: names of the cell's services; each identity gets the certificates of all.
+        services: names of the cell's services.
         people: names of its operators and controllers, as `names.name_of` has them.
         now: beginning of their validity.
         authority: folder of the authority, if it is not `authority` in `to`.
@@ -182,18 +181,12 @@ def make_identities(
             raise IdentityError(
                 f"{to / taken[0]} exists already, and this authority has not made it; remove it, or name another --to"
             )
-        certificates = {name: old or made[name][1] for name, old in known.items()}
-        of_services = {name: certificates[name] for name in services}
         for name, (key, certificate) in made.items():
             with _made_whole(to / name) as unfinished:
                 _write_key(unfinished / KEY, key)
                 _write_certificate(unfinished / CERTIFICATE, certificate)
                 _write_certificate(unfinished / AUTHORITY, issuing.certificate)
-                _write_services(unfinished, of_services)
             _write_certificate(place / ISSUED / f"{name}.pem", certificate)
-        for folder in to.iterdir():
-            if (folder / SERVICES).is_dir():
-                _write_services(folder, of_services)
     except OSError as error:
         raise IdentityError(f"{error.filename} cannot be written: {error.strerror}") from error
     kept = tuple(name for name in known if name not in made)
@@ -219,15 +212,6 @@ def _issued(place: Path, name: str, issuing: Authority, now: datetime) -> x509.C
     if name_in(certificate) != name:
         raise IdentityError(f"{file} is the certificate of {name_in(certificate)}; copy whole folders")
     return certificate
-
-
-def _write_services(folder: Path, certificates: dict[str, x509.Certificate]) -> None:
-    """Add the certificates of services that are not there yet."""
-    services = folder / SERVICES
-    services.mkdir(mode=0o755, exist_ok=True)
-    for name, certificate in certificates.items():
-        if not (services / f"{name}.pem").exists():
-            _write_certificate(services / f"{name}.pem", certificate)
 
 
 @contextmanager

@@ -21,8 +21,8 @@ from deltaq_protocol.sayings import HLI
 def tls_settings(folder: Path) -> dict[str, Any]:
     """Certificates of an identity; both ends of a link show theirs.
 
-    They are services' and people's, not hosts', so that no host's name is looked for in one: who is heard under which
-    key, access control, seals and proofs decide.
+    They are services' and people's, not hosts', so that no host's name is looked for in one: access control and proofs
+    decide who is heard under which key.
     """
     key, certificate = str(folder / KEY), str(folder / CERTIFICATE)
     return {

@@ -1,9 +1,8 @@
-"""An identity in its folder: own key and certificate, the authority's certificate, and those of the cell's services.
+"""An identity in its folder: own key and certificate, and the authority's certificate.
 
 key.pem             own key; its owner's secret
 certificate.pem     who this is, signed by the authority of the cell
 authority.pem       the authority's certificate
-services/NAME.pem   the certificate of each service of the cell
 """
 
 from __future__ import annotations
@@ -32,7 +31,6 @@ from deltaq_protocol.certified.names import (
     AUTHORITY,
     CERTIFICATE,
     KEY,
-    SERVICES,
     IdentityError,
     IdentityKind,
     kind_of,
@@ -97,25 +95,6 @@ class Identity:
             return None
         end = f"{self.certificate.not_valid_after_utc:%Y-%m-%d}"
         return f"{self.folder / CERTIFICATE} is valid for {left} more days, until {end}; {RENEW}"
-
-    def secret_with(self, service: str, now: datetime) -> bytes:
-        """The 32 bytes that only this identity and a service of the cell can compute (ECDH; the shared x).
-
-        Raises:
-            IdentityError: if the service's certificate is missing, another's, or not valid.
-        """
-        if service == self.name:
-            return self.key.exchange(ec.ECDH(), self.key.public_key())
-        file = self.folder / SERVICES / f"{service}.pem"
-        if not file.exists():
-            raise IdentityError(
-                f"{file} is missing; `deltaq keys` adds the certificate of a service that a cell has got since"
-            )
-        certificate = certificate_in(read_believed(file), str(file))
-        check_issued(certificate, self.authority, str(file), now)
-        if name_in(certificate) != service:
-            raise IdentityError(f"{file} is the certificate of {name_in(certificate)}; copy whole folders")
-        return self.key.exchange(ec.ECDH(), public_key_of(certificate))
 
 
 def private_key_in(file: Path) -> ec.EllipticCurvePrivateKey:

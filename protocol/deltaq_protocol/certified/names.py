@@ -13,7 +13,7 @@ AUTHORITY_FILE = "DELTAQ_CLIENT_AUTHORITY_FILE"
 """Environment variable: certificate of the authority of clients' identities, for an HLI without an identity."""
 CLIENT_IDENTITY = "DELTAQ_CLIENT_IDENTITY"
 """Environment variable: the folder of an operator's or a controller's identity, for clients."""
-KEY, CERTIFICATE, AUTHORITY, SERVICES = "key.pem", "certificate.pem", "authority.pem", "services"
+KEY, CERTIFICATE, AUTHORITY = "key.pem", "certificate.pem", "authority.pem"
 """Files of an identity in its folder, and the folder of the services' certificates."""
 LONGEST_NAME = 64
 """Of a certificate (RFC 5280, ub-common-name)."""

@@ -136,8 +136,7 @@ class Newcomers:
 
     Args:
         loop: the event loop.
-        begin: makes the protocol of a connection that is taken up.
-        begin_stop: the same for one that has brought a stop.
+        begin: makes the protocol of a connection that is taken up, from whether it has brought a stop.
         counters: what is counted.
         per_second: at most so many are taken up that have brought none.
         silent_s: nobody who says nothing is taken up before he has waited so long [s].
@@ -146,13 +145,12 @@ class Newcomers:
     def __init__(
         self,
         loop: asyncio.AbstractEventLoop,
-        begin: Callable[[], asyncio.Protocol],
-        begin_stop: Callable[[], asyncio.Protocol],
+        begin: Callable[[bool], asyncio.Protocol],
         counters: Counter[str],
         per_second: float = 256.0,
         silent_s: float = 0.0,
     ) -> None:
-        self._loop, self._begin, self._begin_stop, self._counters = loop, begin, begin_stop, counters
+        self._loop, self._begin, self._counters = loop, begin, counters
         self._rate = RateLimit(per_second)
         self._silent_s = silent_s
         self._listeners: list[socket.socket] = []
@@ -170,7 +168,7 @@ class Newcomers:
         Raises:
             OSError: if the address cannot be listened on.
         """
-        bound = await self._loop.create_server(self._begin, address, port, start_serving=False)
+        bound = await self._loop.create_server(asyncio.Protocol, address, port, start_serving=False)
         self._listeners = [socket.socket(fileno=each.dup().detach()) for each in bound.sockets]
         bound.close()
         for listener in self._listeners:
@@ -229,9 +227,9 @@ class Newcomers:
                     break
                 chosen.append(one)
         for one in chosen:
-            begin = self._begin_stop if self._spoken.get(one) else self._begin
+            brings_stop = bool(self._spoken.get(one))
             self._forget(one)
-            task = self._loop.create_task(self._hand_over(one, begin))
+            task = self._loop.create_task(self._hand_over(one, brings_stop))
             self._taken_up.add(task)
             task.add_done_callback(self._taken_up.discard)
         if len(self._waiting):
@@ -255,9 +253,9 @@ class Newcomers:
             else:
                 self._send_away(one)
 
-    async def _hand_over(self, one: socket.socket, begin: Callable[[], asyncio.Protocol]) -> None:
+    async def _hand_over(self, one: socket.socket, brings_stop: bool) -> None:
         try:
-            await self._loop.connect_accepted_socket(begin, one)
+            await self._loop.connect_accepted_socket(lambda: self._begin(brings_stop), one)
         except OSError:  # it has ended
             one.close()
 

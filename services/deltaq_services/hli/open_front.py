@@ -30,7 +30,7 @@ from deltaq_protocol.sayings import HLI
 from deltaq_protocol.session import open_session
 from deltaq_protocol.stamps import StampStation, stamps_if_asked
 from deltaq_protocol.topic import Party, Realm, Topic
-from deltaq_services.guarded_session import service_tls
+from deltaq_services.guarded_realm import service_tls
 from deltaq_services.hli.authentication import Authentication
 from deltaq_services.hli.leases import Sequence
 from deltaq_services.hli.port import Port
@@ -180,7 +180,7 @@ class OpenFront:
     """Takes increments, answers queries, publishes states and verdicts.
 
     Raises:
-        GuardedKeyError: `cell.hli` uses TLS, and there is no identity.
+        GuardedRealmError: `cell.hli` uses TLS, and there is no identity.
         IdentityError: the identity belongs to another service, or is not valid.
         ServiceUnreachableError: if `cell.hli` cannot be listened on.
     """

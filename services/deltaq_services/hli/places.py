@@ -7,7 +7,6 @@ a stop is read from it. When too many of them wait the oldest gives way, so that
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator
-from enum import Enum, auto
 from itertools import zip_longest
 from typing import Generic, TypeVar
 
@@ -137,13 +136,6 @@ MAX_OF_A_PEER = 16
 MAX_STOP_PLACES = 256
 
 
-class Place(Enum):
-    """What a connection gets."""
-
-    CLIENT = auto()
-    STOP_ALONE = auto()
-
-
 class Places(Generic[C]):
     """Who is connected, from where."""
 
@@ -151,16 +143,16 @@ class Places(Generic[C]):
         self.clients: dict[C, str] = {}
         self._for_stops: dict[C, None] = {}
 
-    def take(self, connection: C, address: str) -> tuple[Place, C | None]:
-        """Give a connection its place; also returns the one that gives way for it, if one must."""
+    def take(self, connection: C, address: str) -> bool:
+        """Give a connection a client's place; returns False if there is none."""
         mine = sum(taken == address for taken in self.clients.values())
-        if len(self.clients) < MAX_CONNECTIONS and (mine < MAX_OF_A_PEER or is_loopback(address)):
-            self.clients[connection] = address
-            return Place.CLIENT, None
-        return Place.STOP_ALONE, self.take_for_stop(connection)
+        if len(self.clients) >= MAX_CONNECTIONS or (mine >= MAX_OF_A_PEER and not is_loopback(address)):
+            return False
+        self.clients[connection] = address
+        return True
 
-    def take_for_stop(self, connection: C) -> C | None:
-        """Give a connection a place for a stop alone; returns the one that gives way for it, if one must."""
+    def keep_for_stop(self, connection: C) -> C | None:
+        """Keep a connection for a stop alone; returns the one that gives way for it, if one must."""
         self._for_stops[connection] = None
         oldest = next(iter(self._for_stops)) if len(self._for_stops) > MAX_STOP_PLACES else None
         if oldest is not None:

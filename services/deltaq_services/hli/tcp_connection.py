@@ -53,11 +53,8 @@ class Front(Protocol):
     def description_line(self) -> bytes:
         """The answer to `describe`."""
 
-    def admit(self, connection: TcpConnection, address: str) -> bool:
-        """Take up a connection; False: for a stop alone, since there are too many."""
-
-    def keep_for_stop(self, connection: TcpConnection) -> None:
-        """Take up a connection for a stop alone."""
+    def admit(self, connection: TcpConnection, address: str, is_encrypted: bool) -> bool:
+        """Accept a connection as a client's; False: only for a stop."""
 
     def proven(self, hello: Hello, address: str) -> Hello | None:
         """A hello with the token that it has or proves; None: a wrong one. Not many of an address are compared."""
@@ -78,7 +75,6 @@ class TcpConnection(asyncio.Protocol, Sender):
     Args:
         port: to the core.
         front: the server that it belongs to.
-        for_stop_alone: nothing but a stop is read from it.
 
     Attributes:
         leases: token of each robot's lease that was granted to this connection.
@@ -89,14 +85,14 @@ class TcpConnection(asyncio.Protocol, Sender):
     lasting = True
     _transport: asyncio.Transport
 
-    def __init__(self, port: Port, front: Front, for_stop_alone: bool = False) -> None:
+    def __init__(self, port: Port, front: Front) -> None:
         self._port = port
         self._front = front
         self._client: Hello | None = None
         self._lines = ReceivedLines()
         self._malformed_in_a_row = 0
         self._is_slow = False
-        self._for_stop_alone = for_stop_alone
+        self._for_stop_alone = False
         self._address = self._identity = ""
         self._is_overheard = True
         self._newest_states: dict[str, bytes] = {}
@@ -118,10 +114,7 @@ class TcpConnection(asyncio.Protocol, Sender):
         is_encrypted = transport.get_extra_info("ssl_object") is not None
         self._is_overheard = is_overheard(self._address, is_encrypted)
         self.origin = self._origin(None, address_of(transport))
-        if self._for_stop_alone:
-            self._front.keep_for_stop(self)
-        else:
-            self._for_stop_alone = not self._front.admit(self, self._address)
+        self._for_stop_alone = not self._front.admit(self, self._address, is_encrypted)
         if self._for_stop_alone:
             self._port.loop.call_later(STOP_DEADLINE_S, self.close)
             return

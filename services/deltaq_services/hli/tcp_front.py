@@ -6,7 +6,7 @@ import asyncio
 import logging
 import ssl
 from collections import Counter
-from functools import cached_property, partial
+from functools import cached_property
 
 from deltaq_protocol.audit import AuditKind, AuditOutcome
 from deltaq_protocol.codec import to_line
@@ -14,7 +14,7 @@ from deltaq_protocol.messages import Error, Hello, RobotState
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.commands import Deed
 from deltaq_services.hli.newcomers import HANDSHAKE_S, Handshake, Newcomers
-from deltaq_services.hli.places import MAX_CONNECTIONS, MAX_OF_A_PEER, LineTurns, Place, Places, WaitingPlaces
+from deltaq_services.hli.places import MAX_CONNECTIONS, MAX_OF_A_PEER, LineTurns, Places, WaitingPlaces
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.tcp_connection import TcpConnection, address_of
 from deltaq_services.outputs import ClientOrigin
@@ -41,6 +41,7 @@ class TcpFront:
     def __init__(self, port: Port) -> None:
         self._port = port
         self._newcomers: Newcomers | None = None
+        self._encryption: ssl.SSLContext | None = None
         self._places: Places[TcpConnection] = Places()
         self._turns: LineTurns[TcpConnection] = LineTurns()
         self._tries = Tries()
@@ -65,25 +66,28 @@ class TcpFront:
             OSError: if the address cannot be listened on.
         """
         loop, counters = self._port.loop, self.counters
+        self._encryption = encryption
         if encryption is None:
-            newcomers = Newcomers(loop, self._new_connection, self._new_connection, counters)
-        else:
-            begin, begin_stop = partial(self._new_handshake, encryption), self._new_stop_in_the_clear
-            # who has said nothing yet may bring a stop in the clear
-            newcomers = Newcomers(
-                loop, begin, begin_stop, counters, per_second=_HANDSHAKES_A_SECOND, silent_s=HANDSHAKE_S
-            )
+            newcomers = Newcomers(loop, self._begin, counters)
+        else:  # a connection that has said nothing yet may bring a stop in the clear
+            newcomers = Newcomers(loop, self._begin, counters, _HANDSHAKES_A_SECOND, silent_s=HANDSHAKE_S)
         await newcomers.listen(address, tcp_port)
         self._newcomers = newcomers
 
-    def admit(self, connection: TcpConnection, address: str) -> bool:
-        """Accept a connection: as a client's or, if no place is left, only for a stop."""
+    def admit(self, connection: TcpConnection, address: str, is_encrypted: bool) -> bool:
+        """Accept a connection as a client's; False: only for a stop, in the clear or since no place is left."""
         self.counters["tcp_connections"] += 1
-        place, gives_way = self._places.take(connection, address)
+        may_be_client = self._encryption is None or is_encrypted
+        if may_be_client and self._places.take(connection, address):
+            return True
+        gives_way = self._places.keep_for_stop(connection)
         if gives_way is not None:
             gives_way.close()
-        if place is Place.CLIENT:
-            return True
+        if may_be_client:
+            self._refuse_one_more(connection, address)
+        return False
+
+    def _refuse_one_more(self, connection: TcpConnection, address: str) -> None:
         self.counters["tcp_connections_refused"] += 1
         text = (
             f"{MAX_CONNECTIONS} connections are open, or {MAX_OF_A_PEER} from {address}: no more are allowed"
@@ -94,14 +98,6 @@ class TcpFront:
         self._port.core.tell(
             Deed(AuditKind.CONNECTED, refused, connection.origin, code=ReasonCode.TOO_MANY, text=text)
         )
-        return False
-
-    def keep_for_stop(self, connection: TcpConnection) -> None:
-        """Accept a connection for a stop and nothing else."""
-        self.counters["tcp_connections"] += 1
-        gives_way = self._places.take_for_stop(connection)
-        if gives_way is not None:
-            gives_way.close()
 
     def proven(self, hello: Hello, address: str) -> Hello | None:
         """A hello with the token that it has or proves; None: a wrong one. Not many of an address are compared."""
@@ -156,12 +152,12 @@ class TcpFront:
     def _new_connection(self) -> TcpConnection:
         return TcpConnection(self._port, self)
 
-    def _new_stop_in_the_clear(self) -> TcpConnection:
-        return TcpConnection(self._port, self, for_stop_alone=True)
-
-    def _new_handshake(self, encryption: ssl.SSLContext) -> Handshake:
-        loop = self._port.loop
-        return Handshake(loop, encryption, self._new_connection, self._refuse_unencrypted, self.handshakes)
+    def _begin(self, brings_stop: bool) -> asyncio.Protocol:
+        """The protocol of a new connection; one that brings a stop waits for no encryption."""
+        if self._encryption is None or brings_stop:
+            return self._new_connection()
+        loop, failed = self._port.loop, self._refuse_unencrypted
+        return Handshake(loop, self._encryption, self._new_connection, failed, self.handshakes)
 
     def _refuse_unencrypted(self, transport: asyncio.BaseTransport, why: str) -> None:
         self.counters["tcp_unencrypted"] += 1

@@ -13,9 +13,9 @@ from typing import Any, TypeVar
 import zenoh
 
 from deltaq_protocol.codec import pack
+from deltaq_protocol.envelope import Envelopes
 from deltaq_protocol.inbox import ITEMS_A_TURN, ClientInbox, ServedInLoop
 from deltaq_protocol.messages import Message
-from deltaq_protocol.seal import Seal
 from deltaq_protocol.session import MAX_SESSIONS, declare_publisher, sending
 from deltaq_protocol.topic import Topic
 from deltaq_services.rate_limit import RateLimit
@@ -72,15 +72,15 @@ class LoopSession:
         session: an open zenoh session; it is closed by `close`.
         cell: name of the cell, for the keys.
         loop: the loop that everything is served in.
-        seal: put on all that is published; None in the open realm.
+        envelopes: encloses all that is published; None in the open realm.
     """
 
     def __init__(
-        self, session: Any, cell: str, loop: asyncio.AbstractEventLoop, seal: Seal | None = None
+        self, session: Any, cell: str, loop: asyncio.AbstractEventLoop, envelopes: Envelopes | None = None
     ) -> None:
         self._session = session
         self._cell = cell
-        self._seal = seal
+        self._envelopes = envelopes
         self._publishers: dict[tuple[str, ...], Any] = {}
         self._served = ServedInLoop(session, loop)
         self._inboxes: dict[str, ClientInbox[Any]] = {}
@@ -141,10 +141,6 @@ class LoopSession:
         """Publish a message of a topic; `fields` of its key as in `Topic.key`."""
         self._publisher(topic, **fields).put(pack(message))
 
-    def greet(self, topic: Topic, message: Message, **fields: str) -> None:
-        """Publish a greeting of the guarded realm, for those too that do not know this process yet."""
-        self._publisher(topic, **fields).greet(pack(message))
-
     def publish_once(self, topic: Topic, message: Message, **fields: str) -> None:
         """Publish a message on a key that is not one of ours, without keeping anything for the next time."""
         self._session.put(topic.key(self._cell, **fields), pack(message), **sending(topic.priority))
@@ -165,7 +161,7 @@ class LoopSession:
         if publisher is None:
             key = topic.key(self._cell, **fields)
             publisher = self._publishers[known] = declare_publisher(
-                self._session, key, self._seal, topic.priority
+                self._session, key, self._envelopes, topic.priority
             )
         return publisher
 

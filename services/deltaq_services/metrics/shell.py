@@ -164,7 +164,7 @@ def _of_cell(status: Status) -> Iterator[Metric]:
         [
             ((service, robot, cause), sum(n for _, n in refused))
             for service, robot, counted in _counted(status)
-            for cause in ("forged", "unbound")
+            for cause in ("stale",)
             if (refused := _endings(counted, f"{cause}_"))
         ],
     )

@@ -22,7 +22,7 @@ from deltaq_protocol.guarded import GateEntry, GateMemory
 from deltaq_protocol.identity import CellIdentity, mismatch
 from deltaq_protocol.sayings import SIM
 from deltaq_protocol.topic import Kind, Party, Realm, Topic
-from deltaq_services.guarded_session import open_watching_session
+from deltaq_services.guarded_realm import open_watching_session
 from deltaq_services.process import HeldInterrupts
 from deltaq_services.recorder.writer import RecordingWriter
 
@@ -66,7 +66,7 @@ class Recorder:
         self.lost = 0
         self.invalid = 0
         self._came: queue.SimpleQueue[tuple[Topic, bytes, int]] = queue.SimpleQueue()
-        self._session: Any = open_watching_session(cell, [cell.hli, cell.sim], watched=SIM)
+        self._session: Any = open_watching_session(cell, SIM, [cell.hli])
         try:
             self.writer = RecordingWriter(path, description, "live")
         except DeltaqError:

@@ -12,18 +12,16 @@ from deltaq_cell.description import CellDescription
 from deltaq_cell.identity import content_identity
 from deltaq_protocol import topics
 from deltaq_protocol.codec import InvalidMessageError, pack, unpack
+from deltaq_protocol.envelope import Envelopes, StaleMessageError, message_in
 from deltaq_protocol.errors import ProtocolError
-from deltaq_protocol.guarded import Admission, Greeting, Health, ServerState, Supervision
+from deltaq_protocol.guarded import Admission, Health, ServerState, Supervision
 from deltaq_protocol.heartbeat import Heartbeat
 from deltaq_protocol.messages import Message
 from deltaq_protocol.sayings import robot_server
-from deltaq_protocol.seal import ForgedMessageError, Seal, UnboundMessageError
 from deltaq_protocol.session import declare_publisher, subscribe_newest
 from deltaq_protocol.stamps import CycleOutcome, Stamps, StampStation, stamps_if_asked
 from deltaq_protocol.topic import Party, Topic
-from deltaq_services.greeter import Greeter
-from deltaq_services.guarded_key import guarded_seal
-from deltaq_services.guarded_session import open_guarded_session
+from deltaq_services.guarded_realm import open_guarded_session
 from deltaq_services.phases import MAY_MOVE
 from deltaq_services.rate_limit import Pace
 
@@ -39,12 +37,10 @@ class CycleStamps:
         stamps: where to.
         session: of the Robot Server.
         key: of its admissions.
-        seal: the seal of the messages, with which they are only read.
     """
 
-    def __init__(self, stamps: Stamps, session: Any, key: str, seal: Seal) -> None:
+    def __init__(self, stamps: Stamps, session: Any, key: str) -> None:
         self._stamps = stamps
-        self._seal = seal
         self._last: ServerState | None = None
         self._subscriber = session.declare_subscriber(
             key, zenoh.handlers.Callback(self._admission_came, indirect=False)
@@ -59,9 +55,9 @@ class CycleStamps:
 
     def _admission_came(self, sample: Any) -> None:
         try:
-            admission = unpack(Admission, self._seal.read(str(sample.key_expr), sample.payload.to_bytes()))
+            admission = unpack(Admission, message_in(sample.payload.to_bytes()))
         except ProtocolError:
-            return  # whom the loop does not believe either
+            return  # the loop counts it
         self._stamps.add(StampStation.ADMISSION_AT_SERVER, admission.robot, admission.cycle)
 
 
@@ -82,10 +78,7 @@ def _missed(state: ServerState) -> int:
 M = TypeVar("M", bound=Message)
 
 _WAITING = 32
-"""Messages of a kind that may wait for a cycle. The gate sends one; were it the only one kept, any process that sends
-forged ones would keep it from being heard. All that wait are opened before the reply, so that there must be few."""
-
-_GREETING = Greeting.__name__.lower()
+"""Messages of a kind that may wait for a cycle. The gate sends one, or a few after a pause of the machine."""
 
 
 class GuardedLink:
@@ -97,7 +90,8 @@ class GuardedLink:
         counters: where malformed messages are counted.
 
     Raises:
-        GuardedKeyError: if there is no key.
+        GuardedRealmError: its endpoint lets strangers in.
+        RuntimeFolderError: the folder of the sockets is not this user's alone.
         ServiceUnreachableError: if its endpoint cannot be listened on.
     """
 
@@ -105,27 +99,20 @@ class GuardedLink:
         self._counters = counters
         self._identity = str(content_identity(cell))
         self._service = robot_server(robot)
-        self._seal = guarded_seal(cell, self._service)
-        here = [cell.robots[robot].server]
+        self._envelopes = Envelopes(self._service, cell.cell, tuple(cell.robots))
         self._session: Any = open_guarded_session(
-            cell, Party.ROBOT_SERVER, self._service, listen=here, robot=robot
+            cell, Party.ROBOT_SERVER, self._service, listen=[self._service], robot=robot
         )
         admission_key = topics.ADMISSION.key(cell.cell, robot=robot)
         supervision_key = topics.SUPERVISION.key(cell.cell, robot=robot)
         self._admissions = subscribe_newest(self._session, admission_key, _WAITING)
         self._supervisions = subscribe_newest(self._session, supervision_key, _WAITING)
-        self._greetings = subscribe_newest(self._session, topics.GREETING.key(cell.cell), _WAITING)
         self._state = self._publisher(topics.SERVER_STATE, cell.cell, robot=robot)
         self._health = self._publisher(topics.HEALTH, cell.cell, service=self._service)
-        greeting = self._publisher(topics.GREETING, cell.cell, service=self._service)
-        self._greeter = Greeter(self._service, lambda message: greeting.greet(pack(message)))
-        self._is_unknown = False
         self._heartbeat = Heartbeat()
         self._pace = Pace(topics.HEALTH.period_s(cell.cycle_s))
         stamps = stamps_if_asked(self._service, [robot])
-        self._stamps = (
-            None if stamps is None else CycleStamps(stamps, self._session, admission_key, self._seal)
-        )
+        self._stamps = None if stamps is None else CycleStamps(stamps, self._session, admission_key)
 
     def admissions(self) -> list[Admission]:
         """The admissions since the last call, in the order in which they came."""
@@ -143,7 +130,6 @@ class GuardedLink:
 
     def publish(self, state: ServerState | None, time_s: float, detail: Callable[[], str] = str) -> None:
         """Publish the state, and at the pace of the table of topics a heartbeat, for which alone `detail` is asked."""
-        self._exchange_greetings(time_s)
         if state is not None:
             self._state.put(pack(state))
             if self._stamps is not None:
@@ -166,7 +152,7 @@ class GuardedLink:
         self._session.close()
 
     def _publisher(self, topic: Topic, cell: str, **fields: str) -> Any:
-        return declare_publisher(self._session, topic.key(cell, **fields), self._seal, topic.priority)
+        return declare_publisher(self._session, topic.key(cell, **fields), self._envelopes, topic.priority)
 
     def _received(self, waiting: Any, message_type: type[M]) -> list[M]:
         name = message_type.__name__.lower()
@@ -176,30 +162,10 @@ class GuardedLink:
             if sample is None:
                 break
             try:
-                opened = self._seal.open(str(sample.key_expr), sample.payload.to_bytes())
+                opened = self._envelopes.open(str(sample.key_expr), sample.payload.to_bytes())
                 received.append(unpack(message_type, opened))
-            except ForgedMessageError:
-                self._counters[f"forged_{name}"] += 1
-            except UnboundMessageError:
-                self._counters[f"unbound_{name}"] += 1
-                self._is_unknown = True
+            except StaleMessageError:
+                self._counters[f"stale_{name}"] += 1
             except InvalidMessageError:
                 self._counters[f"invalid_{name}"] += 1
         return received
-
-    def _exchange_greetings(self, time_s: float) -> None:
-        """Greet who does not know this process, and learn of those who greet: after the reply, since it can wait."""
-        for _ in range(_WAITING):
-            sample = self._greetings.try_recv()
-            if sample is None:
-                break
-            try:
-                if not self._seal.meet(str(sample.key_expr), sample.payload.to_bytes()):
-                    self._counters[f"unbound_{_GREETING}"] += 1
-            except ForgedMessageError:
-                self._counters[f"forged_{_GREETING}"] += 1
-        if self._seal.passed_over:
-            self._counters["newcomers_passed_over"] = self._seal.passed_over
-        if self._is_unknown:
-            self._is_unknown = False
-            self._greeter.greet(time_s)

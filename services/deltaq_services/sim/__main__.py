@@ -16,7 +16,7 @@ def main() -> None:
     cell = CellModel.load(options.cell)
     ask_for_real_time(SchedulingPriority.SIM)
     shell = Shell(cell)
-    _log.info("ready: sim gates %s on %s", ", ".join(cell.robots), cell.description.sim)
+    _log.info("ready: sim gates %s", ", ".join(cell.robots))
     shell.run()
 
 

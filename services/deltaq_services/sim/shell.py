@@ -19,17 +19,15 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_protocol import topics
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.codec import InvalidMessageError, pack, unpack
-from deltaq_protocol.guarded import Admission, GateEntry, Greeting, Health, Request
+from deltaq_protocol.envelope import Envelopes, MisaddressedError, StaleMessageError
+from deltaq_protocol.guarded import Admission, GateEntry, Health, Request
 from deltaq_protocol.heartbeat import Heartbeat
 from deltaq_protocol.messages import Message, Outcome, Verdict
-from deltaq_protocol.sayings import SIM
-from deltaq_protocol.seal import ForgedMessageError, UnboundMessageError
+from deltaq_protocol.sayings import SIM, robot_server
 from deltaq_protocol.session import declare_publisher
 from deltaq_protocol.stamps import Stamps, StampStation, stamps_if_asked
 from deltaq_protocol.topic import Party, Realm, Topic
-from deltaq_services.greeter import Greeter
-from deltaq_services.guarded_key import guarded_seal
-from deltaq_services.guarded_session import open_guarded_session
+from deltaq_services.guarded_realm import open_guarded_session
 from deltaq_services.rate_limit import Pace
 from deltaq_services.sim.core import Decider, Sim
 from deltaq_services.sim.gate import Decision
@@ -130,19 +128,19 @@ _log = logging.getLogger(__name__)
 _RING = 256
 """Messages that may wait; two robots and the HLI send six a cycle. A gate that was kept waiting for half a second
 still answers every request, if only to say that it is stale."""
+_INTRODUCTION_PERIOD_S = 0.01
+"""Between two heartbeats that tell an HLI which process the gate is."""
 _LOG_PERIOD_S = 1.0
 """States that the gate cannot have caused may come in every cycle."""
 
 
 def _taken() -> dict[str, Topic]:
-    """What the SIM takes in, by the end of the key; others' heartbeats only wake it, and greetings are the seal's.
+    """What the SIM takes in, by the end of the key; others' heartbeats only wake it.
 
     Entries of the audit log it hands on to recorders; the gate does not hear of them.
     """
     rows = [topic for topic in topics.TOPICS if topic.realm is Realm.GUARDED and Party.SIM in topic.readers]
-    return {
-        topic.template.rpartition("/")[2]: topic for topic in rows if topic.message not in (Health, Greeting)
-    }
+    return {topic.template.rpartition("/")[2]: topic for topic in rows if topic.message is not Health}
 
 
 class Shell:
@@ -155,13 +153,11 @@ class Shell:
         self.sim = Sim(cell, epoch=secrets.randbits(62))
         stamps = stamps_if_asked("sim", list(description.robots))
         self._stamps = None if stamps is None else GateStamps(stamps, self.sim)
-        self._seal = guarded_seal(description, SIM)
-        servers = [robot.server for robot in description.robots.values()]
-        self._session: Any = open_guarded_session(
-            description, Party.SIM, SIM, listen=[description.sim], connect=servers
-        )
+        robots = tuple(description.robots)
+        self._envelopes = Envelopes(SIM, self._name, robots)
+        servers = [robot_server(robot) for robot in robots]
+        self._session: Any = open_guarded_session(description, Party.SIM, SIM, listen=[SIM], connect=servers)
         self._taken = _taken()
-        self._greetings = topics.GREETING.key(self._name, service="")
         self._incoming = self._session.declare_subscriber(
             f"deltaq-guarded/{self._name}/**",
             zenoh.handlers.RingChannel(_RING),
@@ -172,9 +168,9 @@ class Shell:
         self._audit = declare_publisher(self._session, audit, priority=topics.AUDIT.priority)
         self._publishers: dict[tuple[str, str], Any] = {}
         self._pace = Pace(topics.HEALTH.period_s(description.cycle_s))
+        self._introduction_pace = Pace(_INTRODUCTION_PERIOD_S)
         self._log_pace = Pace(_LOG_PERIOD_S)
         self._heartbeat = Heartbeat()
-        self._greeter = Greeter(SIM, lambda greeting: self._publisher(topics.GREETING).greet(pack(greeting)))
         for topic in (topics.SUPERVISION, topics.ADMISSION, topics.GATE_VERDICT):
             for robot in description.robots:
                 self._publisher(topic, robot)
@@ -199,20 +195,14 @@ class Shell:
     def _handle(self, key: str, payload: bytes) -> None:
         topic = self._taken.get(key.rpartition("/")[2])
         try:
-            if key.startswith(self._greetings):
-                if not self._seal.meet(key, payload):
-                    self.sim.counters["unbound_messages"] += 1
-                return
+            payload = self._envelopes.open(key, payload)
             if topic is None:
                 return  # a heartbeat of the others
-            payload = self._seal.open(key, payload)
             message = unpack(topic.message, payload)
-        except ForgedMessageError:
-            self.sim.counters["forged_messages"] += 1
-            return
-        except UnboundMessageError:
-            self.sim.counters["unbound_messages"] += 1
-            self._greeter.greet(time.monotonic())
+        except StaleMessageError as error:
+            self.sim.counters["stale_messages"] += 1
+            if isinstance(error, MisaddressedError) and self._introduction_pace.due(time.monotonic()):
+                self._publish_health(time.monotonic())  # its sender learns which process the gate is
             return
         except InvalidMessageError as error:
             self.sim.counters["invalid_messages"] += 1
@@ -240,7 +230,7 @@ class Shell:
         publisher = self._publishers.get((topic.name, robot))
         if publisher is None:
             key = topic.key(self._name, robot=robot, service=SIM)
-            publisher = declare_publisher(self._session, key, self._seal, topic.priority)
+            publisher = declare_publisher(self._session, key, self._envelopes, topic.priority)
             self._publishers[topic.name, robot] = publisher
         return publisher
 
@@ -249,8 +239,10 @@ class Shell:
         if not self._pace.due(now_s):
             return
         self._log.look_for_listeners()
-        if self._seal.passed_over:
-            self.sim.counters["newcomers_passed_over"] = self._seal.passed_over
+        self._publish_health(now_s)
+        self._heartbeat.beat(now_s, detail=self.sim.disbelieved)
+
+    def _publish_health(self, now_s: float) -> None:
         health = Health(
             service=SIM,
             healthy=True,
@@ -265,4 +257,3 @@ class Shell:
             newest_id=self.sim.newest_id,
         )
         self._publisher(topics.HEALTH).put(pack(health))
-        self._heartbeat.beat(now_s, detail=self.sim.disbelieved)

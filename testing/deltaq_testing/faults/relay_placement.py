@@ -13,6 +13,8 @@ from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_deploy.launch.services import Service
 from deltaq_emulator.faults import LinkFaults
 from deltaq_protocol.endpoint import Endpoint
+from deltaq_protocol.sayings import SIM, robot_server
+from deltaq_services.guarded_realm import guarded_links
 from deltaq_testing.faults.actions import Impair, ImpairStream
 from deltaq_testing.faults.catalogue import Fault
 from deltaq_testing.impairment.process import RelayProcess
@@ -22,6 +24,8 @@ from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 from deltaq_testing.virtual_cell.parts import Link
 
 HERE = "127.0.0.1"
+RELAY = "relay"
+"""Name of its Unix socket, beside those of the services."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +75,7 @@ class PlacedRelay:
         self, services: Sequence[Service], loaded: LoadedCell, robot: str, folder: Path
     ) -> list[Service]:
         """The services, of which the one that connects over the wire finds the relay there."""
-        link, here = self.place.link, str(self.listen)
+        link, here = self.place.link, f"local/{RELAY}"
         server = f"robots: {{{robot}: {{server: {here}}}}}\n"
         match link:
             case Link.CONTROLLER_HLI:
@@ -105,16 +109,20 @@ def placed(place: RelayPlacement, cell: CellDescription, robot: str, seed: int) 
         robot: whose Robot Server is at the end of the wire, where one is.
         seed: of the random numbers.
     """
+    links = guarded_links(cell)
     ends = {
         Link.CONTROLLER_HLI: f"tcp/{cell.tcp_address}:{cell.tcp_port}",
-        Link.HLI_SIM: cell.sim,
-        Link.HLI_SERVER: cell.robots[robot].server,
-        Link.SIM_SERVER: cell.robots[robot].server,
+        Link.HLI_SIM: links[SIM],
+        Link.HLI_SERVER: links[robot_server(robot)],
+        Link.SIM_SERVER: links[robot_server(robot)],
     }
     if isinstance(driver := cell.robots[robot].driver, RsiDescription):
         ends[Link.KRC_SERVER] = f"udp/{driver.address}:{driver.port}"
     to = Endpoint.parse(ends[place.link])
-    listen = Endpoint(to.transport, HERE, _free_port(to.transport))
+    if to.transport == "unixsock-stream":
+        listen = Endpoint(to.transport, str(Path(to.host).with_name(f"{RELAY}.sock")), 0)
+    else:
+        listen = Endpoint(to.transport, HERE, _free_port(to.transport))
     with RelayProcess(listen, to, place.unit, seed) as process:
         of_controllers = (
             listen if place.link is Link.CONTROLLER_HLI else Endpoint.parse(ends[Link.CONTROLLER_HLI])

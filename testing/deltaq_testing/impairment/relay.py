@@ -234,11 +234,11 @@ def relay(
         InvalidEndpointError: if the transport of an endpoint is not that of the unit.
         ServiceUnreachableError: on entering, if `listen` cannot be listened on.
     """
-    transport = "udp" if unit is TrafficUnit.DATAGRAMS else "tcp"
+    transports = ("udp",) if unit is TrafficUnit.DATAGRAMS else ("tcp", "unixsock-stream")
     for endpoint in (listen, to):
-        if endpoint.transport != transport:
+        if endpoint.transport not in transports:
             raise InvalidEndpointError(
-                f"{endpoint}: {unit} travel over {transport}; write {transport}/HOST:PORT"
+                f"{endpoint}: {unit} travel over {transports[0]}; write {transports[0]}/HOST:PORT"
             )
     match unit:
         case TrafficUnit.BYTES:

@@ -1,4 +1,4 @@
-"""A relay for TCP connections that impairs what they carry."""
+"""A relay for TCP connections, and those of Unix sockets, that impairs what they carry."""
 
 from __future__ import annotations
 
@@ -58,7 +58,10 @@ class TcpRelay:
 
     async def __aenter__(self) -> Self:
         try:
-            self._server = await asyncio.start_server(self._serve, self._listen.host, self._listen.port)
+            if self._listen.transport == "unixsock-stream":
+                self._server = await asyncio.start_unix_server(self._serve, self._listen.host)
+            else:
+                self._server = await asyncio.start_server(self._serve, *self._listen.address)
         except OSError as error:
             raise ServiceUnreachableError(
                 f"cannot listen on {self._listen}: {error.strerror}; name an address of this machine that is free"
@@ -92,7 +95,10 @@ class TcpRelay:
             self._connections.discard(connection)
 
     async def _carry(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        onward_reader, onward_writer = await asyncio.open_connection(self._to.host, self._to.port)
+        if self._to.transport == "unixsock-stream":
+            onward_reader, onward_writer = await asyncio.open_unix_connection(self._to.host)
+        else:
+            onward_reader, onward_writer = await asyncio.open_connection(*self._to.address)
         pair = (
             _Carrier(self._next_direction(), reader, onward_writer),
             _Carrier(self._next_direction(), onward_reader, writer),

@@ -81,19 +81,3 @@ def test_check_tells_of_the_end_before_it_comes_and_refuses_what_is_over(folder,
     told = json.loads(refused.stdout)
     assert len(told["problems"]) == 4
     assert "was valid until" in told["problems"][0]["message"]
-
-
-@pytest.mark.long
-def test_check_warns_where_one_key_serves_all_machines_of_a_cell(tmp_path, monkeypatch):
-    monkeypatch.delenv(IDENTITY, raising=False)
-    monkeypatch.setenv("DELTAQ_GUARDED_KEY_FILE", str(tmp_path / "guarded.key"))
-    assert deltaq("check", "lab").stdout.startswith("lab: good")
-    away = tmp_path / "away.yaml"
-    away.write_text("extends: lab\nsim: tcp/192.168.7.1:7450\n", encoding="utf-8")
-    warned = deltaq("check", str(away))
-    assert warned.returncode == 0
-    assert "warning: DELTAQ_GUARDED_KEY_FILE: " in warned.stdout
-    assert "sim (tcp/192.168.7.1:7450) leaves this machine" in warned.stdout
-    assert "deltaq keys" in warned.stdout
-    monkeypatch.delenv("DELTAQ_GUARDED_KEY_FILE")
-    assert "warning" not in deltaq("check", str(away)).stdout

@@ -14,7 +14,6 @@ from deltaq_cell.load import load_cell
 from deltaq_deploy.launch.compose import (
     ADDRESS,
     FILE,
-    KEY_MAKER,
     REAL_TIME_FILE,
     TOKENS_FILE,
     compose_document,
@@ -28,7 +27,8 @@ from deltaq_deploy.launch.compose import (
 from deltaq_deploy.launch.container import USER
 from deltaq_deploy.launch.resources import RESOURCES
 from deltaq_deploy.launch.services import cell_services
-from deltaq_services.guarded_key import KEY_FILE
+from deltaq_protocol.certified.names import IDENTITY
+from deltaq_services.guarded_realm import GUARDED_FOLDER
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +82,7 @@ def test_the_hli_can_be_started_without_any_emulator(containers: dict[str, Any])
         name = needed.pop()
         seen.add(name)
         needed += containers[name].get("depends_on", {})
-    assert seen == {"hli", "sim", "robot-server-fr", "robot-server-gr", KEY_MAKER}
+    assert seen == {"hli", "sim", "robot-server-fr", "robot-server-gr"}
 
 
 def test_controllers_start_on_demand_only(containers: dict[str, Any]) -> None:
@@ -91,49 +91,40 @@ def test_controllers_start_on_demand_only(containers: dict[str, Any]) -> None:
 
 
 @pytest.mark.long
-def test_a_cell_off_the_loopback_gets_its_key_as_a_secret_of_those_who_need_it(tmp_path: Path) -> None:
+def test_services_of_a_cell_on_several_machines_get_their_identities(tmp_path: Path) -> None:
     cell = tmp_path / "plant.yaml"
-    cell.write_text("extends: lab\nsim: tcp/192.168.7.1:7450\n", encoding="utf-8")
+    at = "tls/192.168.7.1"
+    places = f"sim: {at}:7450\nrobots: {{fr: {{server: {at}:7451}}, gr: {{server: {at}:7452}}}}"
+    cell.write_text(f"extends: lab\n{places}\n", encoding="utf-8")
     command = [sys.executable, "-m", "deltaq_deploy.launch.compose", str(cell)]
     printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     file = tmp_path / "compose.yaml"
     file.write_text(printed, encoding="utf-8")
     assert validate(str(file)).returncode == 0
     document = yaml.safe_load(printed)
-    keyed = {name for name, container in document["services"].items() if "secrets" in container}
-    assert keyed == {"hli", "sim", "robot-server-fr", "robot-server-gr"}
-    sim = document["services"]["sim"]
-    assert sim["environment"][KEY_FILE] == "/run/secrets/deltaq-guarded-key"
-    assert sim["volumes"] == [f"{cell}:{cell}:ro"]
-    assert document["secrets"]["deltaq-guarded-key"]["file"].startswith("${DELTAQ_GUARDED_KEY_FILE:?")
-    assert KEY_MAKER not in document["services"]
+    given = {name for name, one in document["services"].items() if IDENTITY in one.get("environment", {})}
+    assert given == {"hli", "sim", "robot-server-fr", "robot-server-gr"}
+    for name in given:
+        one = document["services"][name]
+        (mounted,) = (volume for volume in one["volumes"] if volume.startswith(f"${{{IDENTITY}:?"))
+        assert mounted.endswith(f"/{name}:{one['environment'][IDENTITY]}:ro")
+        assert GUARDED_FOLDER not in one["environment"]
+    assert "guarded" not in document["volumes"]
     assert [name for name, one in document["services"].items() if "build" in one] == ["robot-server-fr"]
 
 
-@pytest.mark.long
-def test_on_the_loopback_the_first_container_makes_the_key_for_those_who_need_it(
-    containers: dict[str, Any], tmp_path: Path
+def test_on_one_machine_the_services_meet_in_a_volume_that_no_other_container_has(
+    containers: dict[str, Any],
 ) -> None:
     document = compose_document()
     assert "secrets" not in document
-    keyed = {name for name, container in containers.items() if KEY_FILE in container.get("environment", {})}
-    assert keyed == {"hli", "sim", "robot-server-fr", "robot-server-gr"}
-    maker = containers[KEY_MAKER]
-    (volume,) = maker["volumes"]
-    assert volume.partition(":")[0] in document["volumes"]
-    for name in keyed:
-        assert f"{volume}:ro" in containers[name]["volumes"]
-        assert containers[name]["depends_on"][KEY_MAKER] == {"condition": "service_completed_successfully"}
-        assert Path(containers[name]["environment"][KEY_FILE]).parent == Path(volume.partition(":")[2])
-    # the same command, beside this test's folder in the place of the volume
-    file = tmp_path / "guarded.key"
-    written = Path(containers["sim"]["environment"][KEY_FILE])
-    command = [str(file) if word == str(written) else word for word in maker["command"]]
-    said = [sys.executable, "-c", "import deltaq_deploy.command; deltaq_deploy.command.main()", *command[1:]]
-    subprocess.run(said, check=True, capture_output=True)
-    key = file.read_text()
-    subprocess.run(said, check=True, capture_output=True)  # the cell is brought up again
-    assert file.read_text() == key
+    given = {name for name, one in containers.items() if GUARDED_FOLDER in one.get("environment", {})}
+    assert given == {"hli", "sim", "robot-server-fr", "robot-server-gr"}
+    for name, one in containers.items():
+        mounted = [volume for volume in one.get("volumes", []) if volume.startswith("guarded:")]
+        folder = one.get("environment", {}).get(GUARDED_FOLDER)
+        assert mounted == ([f"guarded:{folder}"] if name in given else [])
+    assert "guarded" in document["volumes"]
 
 
 def test_no_container_runs_as_root_or_can_write_to_its_image_or_become_more(
@@ -149,7 +140,7 @@ def test_no_container_runs_as_root_or_can_write_to_its_image_or_become_more(
 def test_every_container_has_limits_and_none_swaps(containers: dict[str, Any]) -> None:
     for name, container in containers.items():
         assert {"mem_limit", "pids_limit"} <= set(container)
-        if name not in (KEY_MAKER, ADDRESS):
+        if name != ADDRESS:
             assert container["memswap_limit"] == container["mem_limit"]
             assert container["cpus"] > 0
 

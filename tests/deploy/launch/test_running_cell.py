@@ -224,7 +224,7 @@ def test_a_lease_that_is_taken_is_seen_and_can_be_taken_away(cell: RunningCell) 
 def test_a_cell_cannot_be_started_twice(cell: RunningCell) -> None:
     done = cell.deltaq("up")
     assert done.returncode == 1
-    assert re.search(r"robot-server-fr cannot listen on tcp .*`robots.fr.server`", done.stderr)
+    assert re.search(r"robot-server-fr cannot listen on udp .*`robots.fr.driver.port`", done.stderr)
 
 
 def test_the_wrong_cell_at_an_address_is_named(cell: RunningCell, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from deltaq_cell.load import load_cell
 from deltaq_deploy.launch.resources import RESOURCES
 from deltaq_deploy.launch.services import UnknownServiceError, cell_services, console_service
 from deltaq_deploy.launch.systemd import FOLDER, PYTHON, main, units
-from deltaq_deploy.launch.unit import KEY_UNIT, STOPS_WITHIN_S, TARGET, unit
+from deltaq_deploy.launch.unit import STOPS_WITHIN_S, TARGET, unit
 
 Unit = dict[str, list[str]]
 
@@ -96,10 +96,9 @@ def test_robot_servers_are_stopped_last_and_nothing_is_killed_while_a_robot_brak
         for name in ("sim", "hli", f"emulator-{robot}", "metrics"):
             assert is_stopped_before(f"deltaq-{name}.service", f"deltaq-robot-server-{robot}.service")
     assert is_stopped_before("deltaq-hli.service", "deltaq-sim.service")
-    assert is_stopped_before("deltaq-robot-server-fr.service", KEY_UNIT)
     longest_s = max(10 * load_cell("lab").gate.krc_timeout_s + 1, 5)
     for name, settings in lab.items():
-        if name in (TARGET, KEY_UNIT):
+        if name == TARGET:
             continue
         assert words(settings, "PartOf") == [TARGET]
         assert words(settings, "KillMode") == ["control-group"]
@@ -116,7 +115,7 @@ def test_limits_are_those_of_the_containers(lab: dict[str, Unit]) -> None:
         assert words(settings, "TasksMax") == [str(resources.tasks)]
         assert words(settings, "LimitRTPRIO") == [str(resources.real_time)]
         assert words(settings, "RestrictRealtime") == ["no"]
-    assert all("LimitMEMLOCK" in settings for name, settings in lab.items() if name not in (TARGET, KEY_UNIT))
+    assert all("LimitMEMLOCK" in settings for name, settings in lab.items() if name != TARGET)
     assert "LimitRTPRIO" not in lab["deltaq-console.service"]
     assert words(lab["deltaq-console.service"], "RestrictRealtime") == ["yes"]
 

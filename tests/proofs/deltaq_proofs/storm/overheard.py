@@ -12,11 +12,11 @@ from typing import Self
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
 from deltaq_protocol.codec import unpack
+from deltaq_protocol.envelope import message_in
 from deltaq_protocol.guarded import Admission, GateEntry, ServerState
-from deltaq_protocol.sayings import SIM
+from deltaq_protocol.sayings import SIM, robot_server
 from deltaq_protocol.session import subscribe_newest
-from deltaq_services.guarded_key import guarded_seal
-from deltaq_services.guarded_session import open_watching_session
+from deltaq_services.guarded_realm import guarded_links, open_watching_session
 
 _WAITING = 4096
 """Messages that may wait between two looks: more than ten seconds' of the gate's log."""
@@ -33,8 +33,7 @@ class Overheard:
     def __init__(self, cell: CellDescription, robot: str) -> None:
         self.admissions: dict[int, Admission] = {}
         self.counters: dict[str, int] = {}
-        self._seal = guarded_seal(cell)
-        self._session = open_watching_session(cell, [cell.sim, cell.robots[robot].server], watched=SIM)
+        self._session = open_watching_session(cell, SIM, [guarded_links(cell)[robot_server(robot)]])
         admission = topics.ADMISSION.key(cell.cell, robot="*")
         self._admissions = subscribe_newest(self._session, admission, _WAITING)
         self._log = subscribe_newest(self._session, topics.GATE_LOG.key(cell.cell), _WAITING)
@@ -51,16 +50,14 @@ class Overheard:
     def take(self) -> None:
         """Take in what has come."""
         while (sample := self._admissions.try_recv()) is not None:
-            data = self._seal.read(str(sample.key_expr), sample.payload.to_bytes())
-            self._heard(data)
+            self._heard(message_in(sample.payload.to_bytes()))
         while (sample := self._log.try_recv()) is not None:
             for name, data in unpack(GateEntry, sample.payload.to_bytes()).outputs:
                 if name == topics.ADMISSION.name:
                     self._heard(data)
         sample = self._states.try_recv()
         if sample is not None:
-            data = self._seal.read(str(sample.key_expr), sample.payload.to_bytes())
-            self.counters = unpack(ServerState, data).counters
+            self.counters = unpack(ServerState, message_in(sample.payload.to_bytes())).counters
 
     def _heard(self, data: bytes) -> None:
         admission = unpack(Admission, data)

@@ -122,10 +122,10 @@ def write_cell(folder: Path, transport: Transport = "tcp+udp", base: str = "lab"
         f"""\
 extends: {base}
 # where the robots are
-sim: tcp/{ROBOTS_ADDRESS}:7450
+sim: tls/{ROBOTS_ADDRESS}:7450
 robots:
-  fr: {{server: tcp/{ROBOTS_ADDRESS}:7451}}
-  gr: {{server: tcp/{ROBOTS_ADDRESS}:7452}}
+  fr: {{server: tls/{ROBOTS_ADDRESS}:7451}}
+  gr: {{server: tls/{ROBOTS_ADDRESS}:7452}}
 # in the office
 hli: {transport}/{HLI_ADDRESS}:7447
 clients_need_tokens: true

@@ -24,7 +24,6 @@ from deltaq_protocol.endpoint import Transport
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.given_token import CLIENT_TOKEN, OPERATOR_TOKEN
 from deltaq_protocol.sayings import HLI, services
-from deltaq_services.guarded_key import KEY_FILE
 from deltaq_services.hli.client_roles import CONTROLLER_TOKEN
 
 DELTAQ = (sys.executable, "-c", "from deltaq_deploy.command import main; main()")
@@ -123,7 +122,7 @@ class TwoSites:
         self._controller_token = secrets.token_hex(16)
         self.identities = _identities_of_sites(self.file, self.cell, folder)
         tokens = {OPERATOR_TOKEN: secrets.token_hex(16), CONTROLLER_TOKEN: self._controller_token}
-        self._environment = {KEY_FILE: "", "XDG_STATE_HOME": str(folder)}
+        self._environment = {"XDG_STATE_HOME": str(folder)}
         self._operator = tokens[OPERATOR_TOKEN]
         for name, token in tokens.items():
             file = folder / f"{name.lower()}.txt"
