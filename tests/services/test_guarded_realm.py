@@ -136,7 +136,7 @@ async def test_over_tls_no_service_starts_without_an_identity(tmp_path):
     file.write_text(f"extends: lab\n{places}\n", encoding="utf-8")
     model = CellModel.load(file)
     with pytest.raises(GuardedRealmError, match="is encrypted, and DELTAQ_IDENTITY names no identity"):
-        GateShell(model)
+        GuardedLink(model.description, "fr", Counter())
 
 
 def sleeper(realm, name):

@@ -27,7 +27,7 @@ from deltaq_protocol.sayings import SIM, robot_server
 from deltaq_protocol.session import declare_publisher
 from deltaq_protocol.stamps import Stamps, StampStation, stamps_if_asked
 from deltaq_protocol.topic import Party, Realm, Topic
-from deltaq_services.guarded_realm import open_guarded_session
+from deltaq_services.guarded_realm import guarded_links, open_guarded_session
 from deltaq_services.rate_limit import Pace
 from deltaq_services.sim.core import Decider, Sim
 from deltaq_services.sim.gate import Decision
@@ -150,6 +150,7 @@ class Shell:
         description = cell.description
         self._name = description.cell
         self._identity = cell.identity
+        guarded_links(description)  # a wrong endpoint is told before the gate is made, which takes its time
         self.sim = Sim(cell, epoch=secrets.randbits(62))
         stamps = stamps_if_asked("sim", list(description.robots))
         self._stamps = None if stamps is None else GateStamps(stamps, self.sim)
