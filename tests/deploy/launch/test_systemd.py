@@ -149,7 +149,7 @@ def test_one_machine_of_several_gets_its_own_services(tmp_path: Path) -> None:
     settings = read(found["deltaq-hli.service"])
     assert words(settings, "After") == ["network-online.target"]
     # where the realm leaves the loopback the key is its users', named in /etc/deltaq/deltaq.env
-    assert not any("GUARDED_KEY" in value for value in settings["Environment"])
+    assert not any("GUARDED_FOLDER" in value for value in settings["Environment"])
     with pytest.raises(UnknownServiceError, match="no service 'emulator-fr'"):
         units(str(cell), real=True, only=["emulator-fr"])
 
