@@ -8,6 +8,7 @@ import pytest
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.interface import ControllerError, HeldBack, RobotView, View
 from deltaq_controllers.surroundings.setpoints import Foreseen, SetpointTracker
+from deltaq_emulator.drives import Servo
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Sight
 
@@ -74,6 +75,28 @@ def test_before_the_first_view_there_is_nothing_to_foresee() -> None:
 @pytest.fixture(scope="module")
 def lab() -> CellModel:
     return CellModel.load("lab")
+
+
+@pytest.mark.parametrize("dead_time_s", [0.0, 0.016, 0.046, 0.1])
+@pytest.mark.parametrize("slower", ["gr", "fr"])
+def test_drives_meet_those_of_a_robot_that_lags_more_or_less(slower: str, dead_time_s: float) -> None:
+    """FR goes to the setpoint that is foreseen of GR: then the drives of both are at one place at one time."""
+    robots = CellModel.load("lab").robots
+    lags = {name: robot.description.servo_lag for name, robot in robots.items()}
+    lags[slower] = lags[slower].model_copy(update={"dead_time_s": dead_time_s})
+    for name, robot in robots.items():
+        robot.description = robot.description.model_copy(update={"servo_lag": lags[name]})
+    other, answer = Foreseen(robots["gr"], robots["fr"], CYCLE_S), np.zeros(1)
+    fr, gr = (Servo(np.zeros(1), lags[name], CYCLE_S) for name in ("fr", "gr"))
+    apart = []
+    for cycle in range(300):
+        setpoint = 0.1 * np.sin(2.0 * cycle * CYCLE_S + np.zeros(1))
+        fr.advance(answer)
+        gr.advance(setpoint)
+        other.update(seen(cycle, answer), seen(cycle, setpoint))
+        answer = other.ahead()  # the setpoint of the next cycle
+        apart.append(abs(float(gr.q[0] - fr.q[0])))
+    assert max(apart[100:]) < 5e-4  # at 0.2 rad/s the lags alone would make up to 0.011
 
 
 def foreseen(lab: CellModel) -> Foreseen:

@@ -2,12 +2,14 @@
 
 A setpoint is what the gate has admitted. It is exact, and the drives reach it only later, as late as the follower's
 own: of two robots whose drives lag alike the one looks at the other at any time, if its setpoints look at the other's.
-So all that is to be foreseen is the time from the setpoint that is known to the one that is asked for.
+So all that is to be foreseen is the time from the setpoint that is known to the one that is asked for. Where the other
+robot's drives lag more, that is a setpoint of the past.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +28,8 @@ _ACCELERATION_S = 0.03
 """How long an acceleration that nobody sees goes on; nobody accelerates for long."""
 _STEADY_S, _VELOCITY_S = 0.15, 0.3
 """How long a velocity that nobody sees is taken to stay, and then to decay."""
+_PAST_S = 0.3
+"""For how long setpoints are kept: drives that lag longer are not driven."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +51,7 @@ class SetpointTracker:
     def __init__(self, cycle_s: float) -> None:
         self._cycle_s = cycle_s
         self._known: _Known | None = None
+        self._past: deque[_Known] = deque(maxlen=math.ceil(_PAST_S / cycle_s) + 1)  # newest first
         self._mean_velocity: Array | None = None
         self.velocity: Array = np.zeros(0)
         self._acceleration: Array = np.zeros(0)
@@ -63,7 +68,9 @@ class SetpointTracker:
         if known is not None and elapsed_s == 0.0:
             return
         self._known = _Known(view.cycle, q_cmd)
+        self._past.appendleft(self._known)
         if known is None or not 0.0 < elapsed_s < LOST_S:
+            self._past = deque([self._known], self._past.maxlen)
             self.velocity, self._acceleration = np.zeros_like(q_cmd), np.zeros_like(q_cmd)
             self._mean_velocity = None
             return
@@ -74,17 +81,29 @@ class SetpointTracker:
         self.velocity = mean + 0.5 * self._cycle_s * self._acceleration
 
     def ahead(self, time_s: float) -> Array:
-        """(n,) setpoint expected `time_s` after the newest that is known [rad or m].
+        """(n,) setpoint expected `time_s` after the newest that is known, or sent before it [rad or m].
 
         The farther ahead, the less of the acceleration counts, and then of the velocity.
         """
         if self._known is None:
             raise ControllerError("no setpoint is known yet: call update() first")
-        time_s = max(time_s, 0.0)
+        if time_s < 0.0:
+            return self._before(self._known.cycle + time_s / self._cycle_s)
         moves_s = min(time_s, _STEADY_S) + _faded(max(time_s - _STEADY_S, 0.0), _VELOCITY_S)
         gains_s2 = _ACCELERATION_S * (moves_s - _faded(moves_s, _ACCELERATION_S))
         expected: Array = self._known.q_cmd + moves_s * self.velocity + gains_s2 * self._acceleration
         return expected
+
+    def _before(self, cycle: float) -> Array:
+        """(n,) setpoint of a cycle of the past, and of parts of one; the oldest that is kept of those before it."""
+        later = self._past[0]
+        for earlier in self._past:
+            if earlier.cycle <= cycle:
+                share = (cycle - earlier.cycle) / max(later.cycle - earlier.cycle, 1)
+                between: Array = earlier.q_cmd + share * (later.q_cmd - earlier.q_cmd)
+                return between
+            later = earlier
+        return later.q_cmd
 
 
 class Foreseen:
@@ -118,6 +137,9 @@ class Foreseen:
     @property
     def velocity(self) -> Array:
         """(n,) of the other robot's setpoint when the increment takes effect [rad/s or m/s]."""
+        if self._ahead_s < 0.0:
+            passed: Array = (self.ahead() - self.ahead(-self._cycle_s)) / self._cycle_s
+            return passed
         return math.exp(-max(self._ahead_s - _STEADY_S, 0.0) / _VELOCITY_S) * self.setpoints.velocity
 
     def update(self, own: RobotView, other: RobotView) -> None:
