@@ -143,12 +143,14 @@ def test_a_console_of_kinematic_robots_alone_does_not_call_them_real() -> None:
 
 def test_one_machine_of_several_gets_its_own_services(tmp_path: Path) -> None:
     cell = tmp_path / "plant.yaml"
-    cell.write_text("extends: lab\nsim: tcp/192.168.7.1:7450\n", encoding="utf-8")
+    at = "tls/192.168.7.1"
+    places = f"sim: {at}:7450\nrobots: {{fr: {{server: {at}:7451}}, gr: {{server: {at}:7452}}}}"
+    cell.write_text(f"extends: lab\n{places}\n", encoding="utf-8")
     found = units(str(cell), real=True, only=["hli", "console"])
     assert set(found) == {"deltaq-hli.service", "deltaq-console.service", TARGET}
     settings = read(found["deltaq-hli.service"])
     assert words(settings, "After") == ["network-online.target"]
-    # where the realm leaves the loopback the key is its users', named in /etc/deltaq/deltaq.env
+    # over TLS the user names identities, in /etc/deltaq/deltaq.env
     assert not any("GUARDED_FOLDER" in value for value in settings["Environment"])
     with pytest.raises(UnknownServiceError, match="no service 'emulator-fr'"):
         units(str(cell), real=True, only=["emulator-fr"])
