@@ -35,12 +35,13 @@ HANDSHAKE_S = 5.0
 class Handshake(asyncio.Protocol):
     """Begins as a connection's protocol, and passes the encrypted connection on.
 
+    There are no more of them than `Newcomers` takes up within `HANDSHAKE_S`.
+
     Args:
         loop: the event loop that serves it.
         encryption: context with the certificate.
         begin: makes the protocol of an encrypted connection.
         failed: takes the transport, and the reason why no encryption was agreed on.
-        places: places of connections that have not agreed on encryption yet.
     """
 
     def __init__(
@@ -49,13 +50,10 @@ class Handshake(asyncio.Protocol):
         encryption: ssl.SSLContext,
         begin: Callable[[], asyncio.Protocol],
         failed: Callable[[asyncio.BaseTransport, str], None],
-        places: WaitingPlaces[Handshake],
     ) -> None:
         self._loop, self._encryption = loop, encryption
         self._begin, self._failed = begin, failed
-        self._places = places
         self._connection: asyncio.Protocol | None = None
-        self._gave_way = ""
         self._early = bytearray()
         self._is_lost = False
 
@@ -63,11 +61,6 @@ class Handshake(asyncio.Protocol):
         """Somebody has connected."""
         assert isinstance(transport, asyncio.Transport)  # of a TCP server, always
         transport.pause_reading()  # what comes is for the encryption
-        self._transport = transport
-        peer = transport.get_extra_info("peername")
-        older = self._places.take(self, peer[0] if peer else "")
-        if older is not None:
-            older.give_way()
         self._task = self._loop.create_task(self._agree(transport))
 
     def data_received(self, data: bytes) -> None:
@@ -83,11 +76,6 @@ class Handshake(asyncio.Protocol):
         if self._connection is not None:
             self._connection.connection_lost(exc)
 
-    def give_way(self) -> None:
-        """End, for one that came later."""
-        self._gave_way = "too many were agreeing on theirs, and this was the oldest"
-        self._transport.abort()
-
     async def _agree(self, transport: asyncio.Transport) -> None:
         try:
             encrypted = await self._loop.start_tls(
@@ -95,11 +83,9 @@ class Handshake(asyncio.Protocol):
             )
         except OSError as error:
             why = error.reason if isinstance(error, ssl.SSLError) else type(error).__name__
-            self._failed(transport, self._gave_way or why)
+            self._failed(transport, why)
             transport.abort()
             return
-        finally:
-            self._places.leave(self)
         if self._is_lost or encrypted is None:
             return
         connection = self._connection = self._begin()

@@ -14,7 +14,7 @@ from deltaq_protocol.messages import Error, Hello, RobotState
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.commands import Deed
 from deltaq_services.hli.newcomers import HANDSHAKE_S, Handshake, Newcomers
-from deltaq_services.hli.places import MAX_CONNECTIONS, MAX_OF_A_PEER, LineTurns, Places, WaitingPlaces
+from deltaq_services.hli.places import MAX_CONNECTIONS, MAX_OF_A_PEER, LineTurns, Places
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.tcp_connection import TcpConnection, address_of
 from deltaq_services.outputs import ClientOrigin
@@ -34,7 +34,6 @@ class TcpFront:
     """The TCP server and its connections.
 
     Attributes:
-        handshakes: connections that have not agreed on their encryption yet.
         counters: what it counted.
     """
 
@@ -45,7 +44,6 @@ class TcpFront:
         self._places: Places[TcpConnection] = Places()
         self._turns: LineTurns[TcpConnection] = LineTurns()
         self._tries = Tries()
-        self.handshakes: WaitingPlaces[Handshake] = WaitingPlaces()
         self._is_scheduled = False
         self.counters: Counter[str] = Counter()
 
@@ -156,8 +154,7 @@ class TcpFront:
         """The protocol of a new connection; one that brings a stop waits for no encryption."""
         if self._encryption is None or brings_stop:
             return self._new_connection()
-        loop, failed = self._port.loop, self._refuse_unencrypted
-        return Handshake(loop, self._encryption, self._new_connection, failed, self.handshakes)
+        return Handshake(self._port.loop, self._encryption, self._new_connection, self._refuse_unencrypted)
 
     def _refuse_unencrypted(self, transport: asyncio.BaseTransport, why: str) -> None:
         self.counters["tcp_unencrypted"] += 1
