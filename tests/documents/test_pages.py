@@ -64,7 +64,7 @@ NOT_RUN = {
         "needs a container engine; tests/deploy/launch/test_containers.py",
     ],
     "several-machines.md": [
-        "needs two machines; tests/live/test_sealed_realm.py runs a cell off the loopback",
+        "needs two machines; tests/live/test_encrypted_cell.py runs a cell off the loopback",
         "needs two machines; tests/security/test_identified_clients.py connects the same way",
         "needs two machines; tests/live/test_encrypted_hli.py connects the same way",
     ],
