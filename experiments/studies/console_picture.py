@@ -88,7 +88,8 @@ def take_pictures(url: str, folder: Path, chromium: str) -> None:
 
 
 def _opened(browser: Browser, url: str, size: ViewportSize) -> Page:
-    page = browser.new_page(viewport=size, color_scheme="dark")
+    # playwright waits by scripts that the page's policy refuses
+    page = browser.new_page(viewport=size, color_scheme="dark", bypass_csp=True)
     page.set_default_timeout(_TIMEOUT_MS)
     page.goto(url)
     page.wait_for_selector("[data-ready=true]", state="attached")

@@ -5,7 +5,7 @@ import { mock, test } from "node:test";
 
 const folder = process.env.DELTAQ_BROWSER_MODULES;
 const load = (name) => import(`${folder}/${name}.js`);
-const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { Gamepad, shaped, wishOf }, { csvCell }, { Player, Replay }, drag, { score }, hands, { Pace }, { framed }, { boxesBeside, roomOf }, { axisOf, axisText }, { modesOf }, { Handover, UNSEEN_MS }, { targetsOf }, { poseText }] = await Promise.all(
+const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { Gamepad, shaped, wishOf }, { csvCell }, { Player, Replay }, drag, { score }, hands, { Pace }, { framed }, { boxesBeside, roomOf }, { axisOf, axisText }, { modesOf }, { Handover, UNSEEN_MS }, { targetsOf }, { dateText, poseText }] = await Promise.all(
   ["connection", "live", "stop", "wish", "frame", "series", "gamepad", "event_log", "replay", "drag_math", "advisor_cards", "hands", "pace", "framing", "tags", "plots", "modes", "handover", "look_at", "dom"].map(load),
 );
 
@@ -861,4 +861,9 @@ test("modes are offered to robots that have the joints for them", () => {
   assert.deepEqual(those(12, 2), ["advisor"]);
   assert.deepEqual(those(17, 2), ["self-motion", "advisor"]);
   assert.deepEqual(modesOf(robot(4, 1)), ["joint", "decoupled", "coupled", "pose"]);
+});
+
+test("dates are told in one form, on the reader's clock", () => {
+  const noon = new Date(2026, 10, 8, 12, 5, 9);
+  assert.equal(dateText(noon / 1000), "2026-11-08 12:05:09");
 });

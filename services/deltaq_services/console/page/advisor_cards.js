@@ -53,9 +53,9 @@ function near(name, { distance_m, pair }) {
 }
 
 /** What the option is ranked by, and what it gains over where the robot is. */
-function energy({ energy, energy_here }) {
+function cost({ energy, energy_here }) {
   const gain = energy_here ? `, ${Math.round(100 * (1 - energy / energy_here))} % less than here` : "";
-  return `energy ${energy.toFixed(3)}${gain}`;
+  return `cost ${energy.toFixed(3)}${gain}`;
 }
 
 /**
@@ -91,7 +91,7 @@ export function advisorCards({ live, driven, wish, ways, picture, thumbnails, vi
     const first = [...new Set([...(live.robot(driven.name)?.search?.trade_off ?? []), ...FIRST])];
     const rest = costs.filter(([name]) => !first.includes(name));
     const item = el("li", { class: "card-option", "data-option": way.rank, tabindex: 0 },
-      el("header", {}, el("b", {}, `${way.rank}`), el("span", {}, energy(way)), el("small", {}, `${way.nearest_limit} ${Math.round(100 * way.limit_share)} % from its limit`)),
+      el("header", {}, el("b", {}, `${way.rank}`), el("span", {}, cost(way)), el("small", {}, `${way.nearest_limit} ${Math.round(100 * way.limit_share)} % from its limit`)),
       thumbnails.of(views.find(({ name }) => name === driven.name), way.q),
       el("ul", { class: "scores" }, ...first.filter((name) => name in way.costs).map((name) => bar(name, way.costs[name]))),
       ...Object.entries(KINDS).filter(([kind]) => kind in way.near).map(([kind, name]) => near(name, way.near[kind])),

@@ -1,5 +1,6 @@
 // Brings the cell to life on the page: its description is fetched, drawn, and the panels put around it.
 
+import { jogAxes } from "./axes.js";
 import { fetched, part, remembered } from "./dom.js";
 import { Driven, drivingPanel } from "./driving.js";
 import { FollowerPicture } from "./follower.js";
@@ -65,11 +66,12 @@ export async function showCell(holder, live, stop, look) {
   const ways = new Ways(live);
   const wayPicture = new WayPicture(stage, views);
   const context = { live, scene, driven, wish, stage, views, ways, picture: wayPicture, thumbnails: new Thumbnails(stage), follower: picture };
+  const axes = jogAxes(context);
   const { ask, pose, hands } = drivingPanel(context);
   const player = replayBar(live, scene);
   recordings(live, scene, player.open);
   const bars = jointBars(live, scene, views);
-  livePlots(live, scene, picture, bars);
+  livePlots(live, scene, picture, views, bars);
   const actions = {
     mode() {
       const shown = [...document.querySelectorAll("[data-mode]:not([hidden])")].map((button) => button.dataset.mode).filter((mode) => mode !== "follow" && keepsGrip(mode, driven.grip));
@@ -98,5 +100,5 @@ export async function showCell(holder, live, stop, look) {
   const gamepad = new Gamepad(scene.pad, driven, wish, actions, drawing.show, () => live.robot(driven.name)?.goes_through ?? 1);
 
   // for tests and the curious: what is behind the page
-  Object.assign(window.deltaq, { scene, stage, views, wish, driven, picture, overlays, motion, gamepad, player, ways, wayPicture, gizmo: pose.gizmo });
+  Object.assign(window.deltaq, { scene, stage, views, wish, driven, picture, overlays, motion, gamepad, player, ways, wayPicture, axes, gizmo: pose.gizmo });
 }

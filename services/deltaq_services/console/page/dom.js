@@ -68,6 +68,12 @@ export function poseText(T) {
   return `${named("XYZ", [T[12], T[13], T[14]].map((m) => 1000 * m), 0)} mm\n${named("ABC", [A, B, C], 1)} °`;
 }
 
+/** Day and time of day of the reader's clock, whatever the browser's language: 2026-11-28 22:50:12. */
+export function dateText(time_s) {
+  const time = new Date(time_s * 1000);
+  return new Date(time - 60000 * time.getTimezoneOffset()).toISOString().slice(0, 19).replace("T", " ");
+}
+
 /** A joint's position as people read it. */
 export function jointText(value, unit) {
   return unit === "rad" ? `${degrees(value).toFixed(1)}°` : `${(value * 1000).toFixed(0)} mm`;

@@ -1,6 +1,6 @@
 // The log of events under the picture: newest first, filtered by kind and text, saved as CSV.
 
-import { el, part, save, say } from "./dom.js";
+import { dateText, el, part, save, say } from "./dom.js";
 
 const MOST = 500;
 const KINDS = ["stop", "verdict", "phase", "lease", "link", "client", "recording", "view"];
@@ -23,7 +23,7 @@ export function eventLog(live) {
   const tools = el("div", { class: "tools" }, filter, kinds, el("button", { onclick: () => save("deltaq-events.csv", csv(), "text/csv") }, "Save CSV"));
   log.append(el("header", {}, open, tools), list);
 
-  const time = (event) => new Date(event.time_s * 1000).toLocaleTimeString([], { hour12: false });
+  const time = (event) => dateText(event.time_s).slice(11);
   const words = (event) => `${event.robot ? `${event.robot}: ` : ""}${event.text}${event.count > 1 ? ` (${event.count} times)` : ""}`;
   const line = (event) => el("li", { "data-kind": event.kind }, el("time", {}, time(event)), el("i", {}, event.kind), el("span", {}, words(event)));
   const wanted = () => events.filter((event) => (!kinds.value || event.kind === kinds.value) && words(event).toLowerCase().includes(filter.value.toLowerCase()));

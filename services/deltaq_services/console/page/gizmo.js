@@ -1,9 +1,9 @@
 // The gizmo: arrows and rings at a pose, which the pointer drags along and about the axes of the world or of the hand.
 
 import { THREE } from "./vendor/three.js";
+import { COLOURS } from "./axes.js";
 import { aboutAxis, alongAxis, turned } from "./drag_math.js";
 
-const COLOURS = ["#ff4f5e", "#62dfae", "#4fb3ea"];
 const SIZE = 0.075; // of an arrow, as a share of its distance from the eye
 const GRIP = 3.2; // how much thicker than it looks a handle is taken hold of
 

@@ -1,6 +1,6 @@
 // Live plots of the last two minutes: what the operator watches, paused and saved on demand.
 
-import { degrees, el, part, save, say } from "./dom.js";
+import { degrees, el, part, remember, remembered, save, say } from "./dom.js";
 import { csvCell } from "./event_log.js";
 import { Series, SPAN_S } from "./series.js";
 
@@ -25,6 +25,18 @@ function plotsOf(live, scene, picture) {
     { title: "View distance", unit: "m", digits: 2, least: 0.2, lines: followers((error) => error?.distance ?? NaN) },
     ...plots,
   ];
+}
+
+/** Plots of single signals, which are shown once they are chosen: each joint, and where each tool is in the world. */
+function signalsOf(live, views) {
+  return views.flatMap(({ name, robot }, index) => [
+    ...robot.joints.map((joint, k) => {
+      const [unit, scale] = joint.unit === "rad" ? ["°", 180 / Math.PI] : ["mm", 1000];
+      return { title: `${name} ${joint.name.toUpperCase()}`, unit, digits: 1, least: 2, lines: [{ name, value: () => scale * live.frame.robots[index].q[k] }] };
+    }),
+    ...robot.tools.flatMap((tool, hand) => ["X", "Y", "Z"].map((axis, k) => (
+      { title: `${name} ${robot.tools.length > 1 ? `${tool.name} ` : ""}${axis}`, unit: "mm", digits: 0, least: 20, lines: [{ name, value: () => 1000 * views[index].toolPose(hand)[12 + k] }] }))),
+  ]);
 }
 
 /** The range of a plot's axis [least, most]: of its values since `from_s`, and no narrower than is worth looking at. */
@@ -92,7 +104,7 @@ function penOf(canvas) {
   const ratio = window.devicePixelRatio;
   const [width, height] = [canvas.clientWidth, canvas.clientHeight];
   if (!width) return null;
-  if (canvas.width !== Math.round(width * ratio)) Object.assign(canvas, { width: Math.round(width * ratio), height: Math.round(height * ratio) });
+  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) Object.assign(canvas, { width: Math.round(width * ratio), height: Math.round(height * ratio) });
   const pen = canvas.getContext("2d");
   pen.setTransform(ratio, 0, 0, ratio, 0, 0);
   pen.clearRect(0, 0, width, height);
@@ -106,22 +118,43 @@ function sample(index) {
   return el("svg", { viewBox: "0 0 18 6", class: "sample", "aria-hidden": "true" }, el("line", { x1: 0, y1: 3, x2: 18, y2: 3, "stroke-dasharray": index ? DASH.join(" ") : "none" }));
 }
 
-export function livePlots(live, scene, picture, joints) {
-  const plots = plotsOf(live, scene, picture);
+export function livePlots(live, scene, picture, views, joints) {
+  const usual = plotsOf(live, scene, picture);
+  const all = [...usual, ...signalsOf(live, views)];
+  let plots = []; // that are shown
   let pausedAt_s = null;
   const pause = el("button", { "aria-pressed": "false", onclick: () => toggle() }, "Pause");
   const head = el("header", {}, el("h2", {}, "Last 2 min"), pause,
     el("button", { onclick: () => save("deltaq-plots.csv", csv(), "text/csv") }, "CSV"), el("button", { onclick: () => png() }, "PNG"));
+  const choose = el("select", { "aria-label": "Show or hide a plot" });
   const box = el("section", { class: "plots" }, head);
-  for (const plot of plots) {
+  for (const plot of all) {
     plot.canvas = el("canvas", { role: "img", "aria-label": plot.title });
-    plot.hasTimes = plot === plots.at(-1);
     for (const line of plot.lines) Object.assign(line, { series: new Series(), text: el("output") });
     const legend = plot.lines.map(({ name, text }, index) => el("span", { class: "told", "data-line": index },
       ...(plot.lines.length > 1 ? [sample(index), name] : []), text, index === plot.lines.length - 1 ? plot.unit : ""));
-    box.append(el("figure", { class: "plot", "data-times": String(plot.hasTimes) }, el("figcaption", {}, el("b", {}, plot.title), ...legend), plot.canvas));
+    plot.box = el("figure", { class: "plot" }, el("figcaption", {}, el("b", {}, plot.title), ...legend), plot.canvas);
+    box.append(plot.box);
   }
+  box.append(choose);
   part("figures").append(box, joints);
+
+  function show(titles) {
+    plots = all.filter(({ title }) => titles.includes(title));
+    for (const plot of all) {
+      plot.box.hidden = !plots.includes(plot);
+      plot.hasTimes = plot === plots.at(-1);
+      plot.box.dataset.times = String(plot.hasTimes);
+    }
+    choose.replaceChildren(el("option", { value: "" }, "Show or hide a plot …"), ...all.map(({ title }) => el("option", { value: title }, `${titles.includes(title) ? "✓ " : "\u2003"}${title}`)));
+  }
+  choose.addEventListener("change", () => {
+    const shown = plots.map(({ title }) => title);
+    const titles = shown.includes(choose.value) ? shown.filter((title) => title !== choose.value) : [...shown, choose.value];
+    remember("plots", titles);
+    show(titles);
+  });
+  show(remembered("plots", usual.map(({ title }) => title)));
 
   function toggle() {
     pausedAt_s = pausedAt_s === null ? live.frame?.server_s ?? null : null;
@@ -130,7 +163,7 @@ export function livePlots(live, scene, picture, joints) {
   }
 
   function csv() {
-    const lines = plots.flatMap((plot) => plot.lines.map((line) => ({ name: `${plot.title} ${line.name} [${plot.unit}]`, series: line.series })));
+    const lines = [...new Set([...usual, ...plots])].flatMap((plot) => plot.lines.map((line) => ({ name: `${plot.title} ${line.name} [${plot.unit}]`, series: line.series })));
     const times = [...lines[0].series].map(([time]) => time);
     const columns = lines.map(({ series }) => new Map(series));
     const rows = times.map((time) => [new Date(time * 1000).toISOString(), ...columns.map((column) => column.get(time) ?? "")]);
@@ -173,7 +206,7 @@ export function livePlots(live, scene, picture, joints) {
 
   live.addEventListener("frame", ({ detail }) => {
     if (live.isStale() || live.replay) return; // what the camera sees then is not the cell
-    for (const { lines } of plots) for (const { series, value } of lines) series.add(detail.server_s, value());
+    for (const { lines } of new Set([...usual, ...plots])) for (const { series, value } of lines) series.add(detail.server_s, value());
   });
   setInterval(() => {
     if (document.hidden || !live.frame) return;

@@ -1,6 +1,6 @@
 // The list of recordings: record the cell, and open what was recorded.
 
-import { el, part, say } from "./dom.js";
+import { dateText, el, part, say } from "./dom.js";
 
 const size = (bytes) => (bytes < 1e6 ? `${Math.max(1, Math.round(bytes / 1e3))} kB` : `${(bytes / 1e6).toFixed(1)} MB`);
 
@@ -51,7 +51,7 @@ export function recordings(live, scene, open) {
     const written = live.status?.recording?.file;
     list.replaceChildren(...found.map(({ name, bytes, written_s }) =>
       el("li", {}, el("button", { onclick: () => read(name), disabled: name === written, "data-recording": name },
-        el("b", {}, name), el("small", {}, `${new Date(written_s * 1000).toLocaleString()} · ${name === written ? "being written" : size(bytes)}`)))));
+        el("b", {}, name), el("small", {}, `${dateText(written_s)} · ${name === written ? "being written" : size(bytes)}`)))));
     if (!found.length) list.replaceChildren(el("li", { class: "doing" }, "The folder has no recording yet."));
   }
 

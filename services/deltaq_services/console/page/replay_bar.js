@@ -1,6 +1,6 @@
 // The recording in the scene: framed and named as such, with its timeline below and its verdicts beside it.
 
-import { el, part, say } from "./dom.js";
+import { dateText, el, part, say } from "./dom.js";
 import { Player, Replay, SPEEDS } from "./replay.js";
 
 const DRAW_MS = 40;
@@ -36,7 +36,7 @@ export function replayBar(live, scene) {
     open.player.speed = Number(speed.value);
     slide.max = replay.length_s;
     say(title, replay.name);
-    const began = replay.begin_s ? new Date(replay.begin_s * 1000).toLocaleString() : "in virtual time";
+    const began = replay.begin_s ? dateText(replay.begin_s) : "in virtual time";
     say(notes, [began, ...replay.notices].join(" · "));
     list.replaceChildren(...replay.verdicts.slice(0, LISTED).map((line) =>
       el("li", {}, el("button", { "data-outcome": line.outcome, onclick: () => seek(line.time_s) },
