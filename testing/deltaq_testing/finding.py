@@ -10,7 +10,7 @@ class RunFinding:
     """The result of a check; true if the check holds.
 
     Attributes:
-        good: whether it was.
+        good: whether the check holds.
         told: what was measured, and what was allowed.
     """
 
@@ -18,7 +18,7 @@ class RunFinding:
     told: str
 
     def __bool__(self) -> bool:
-        """Whether it was so."""
+        """Whether the check holds."""
         return self.good
 
     def __repr__(self) -> str:

@@ -52,17 +52,17 @@ class RobotHistory:
 
 
 class Observed:
-    """A cell that is run while it is recorded, and the questions that a test asks about it.
+    """A recorded run of a cell, and the checks that a test makes of it.
 
     Args:
-        model: of the cell.
-        robot: the one under test, which questions about one robot are about.
+        model: the model of the cell.
+        robot: the robot under test; checks of one robot are of this one.
 
     Attributes:
-        model: of the cell.
-        robot: the one under test.
-        history: of each robot.
-        ready_row: first row of the test; those before belong to the start of the cell.
+        model: the model of the cell.
+        robot: the robot under test.
+        history: the record of each robot, by name.
+        ready_row: first row of the test in a record; earlier rows belong to the start of the cell.
         fault_rows: first row of each fault that has begun.
     """
 

@@ -49,10 +49,10 @@ class CellUnderTest(Observed):
         CellError: there is no such cell, or its file has errors.
 
     Attributes:
-        seed: as given.
-        verdicts: that reached the controllers, by outcome.
-        refusals: why increments were refused or held, by reason.
-        events: what has befallen the cell, with the time since the beginning of the test [s].
+        seed: of everything that is random.
+        verdicts: number of verdicts that the controllers received, by outcome.
+        refusals: number of increments that were refused or held, by reason.
+        events: faults and other events, with the time since the beginning of the test [s].
     """
 
     def __init__(
