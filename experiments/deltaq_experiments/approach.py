@@ -9,16 +9,22 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from deltaq_controllers.camera.scene import Scene
+from deltaq_experiments.figures import Curve, FigurePanel
 from deltaq_experiments.options import Options
-from deltaq_experiments.panels import Curve, FigurePanel
 from deltaq_experiments.report import ExperimentOutcome, Figures, LeastClearance, ReachedSpeed, Report
-from deltaq_experiments.scene import VIEW_DISTANCE_M, aim_arguments, camera_controller, load, loop_latency_s
+from deltaq_experiments.scene import (
+    VIEW_DISTANCE_M,
+    aim_arguments,
+    camera_controller,
+    load,
+    loop_latency_s,
+    start_with_error,
+)
 from deltaq_experiments.seen import SeenRun, seen, shares_of
-from deltaq_experiments.starts import start_with_error
 from deltaq_experiments.trace import time_to_stay_below
 from deltaq_experiments.virtual import RunRecord, record
 from deltaq_protocol.arrays import Array
-from deltaq_testing.counts import GateCounts, LimitCounts
+from deltaq_testing.oracle import GateCounts, LimitCounts
 
 DURATION_S = 5.0
 START_ERRORS_DEG = (83.0, 134.0, 145.0)

@@ -19,19 +19,24 @@ from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.leader.attacking import TARGETS, AttackingLeader, HomingStick, staging_box
 from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_emulator.drives import Servo
+from deltaq_experiments.figures import Curve, FigurePanel, Marks
 from deltaq_experiments.options import Options
-from deltaq_experiments.panels import Curve, FigurePanel, Marks
 from deltaq_experiments.report import ExperimentOutcome, Report
-from deltaq_experiments.scene import VIEW_DISTANCE_M, camera_controller, link_cycles, load
-from deltaq_experiments.seen import seen
-from deltaq_experiments.starts import LEAST_CLEARANCE_M, MeasuredView, start_with_error
-from deltaq_experiments.summary import summary
+from deltaq_experiments.scene import (
+    LEAST_CLEARANCE_M,
+    VIEW_DISTANCE_M,
+    MeasuredView,
+    camera_controller,
+    link_cycles,
+    load,
+    start_with_error,
+)
+from deltaq_experiments.seen import seen, summary
 from deltaq_experiments.trace import Trace
 from deltaq_experiments.virtual import RunRecord, record, view_of
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
-from deltaq_testing.counts import GateCounts
-from deltaq_testing.oracle import ClearanceOracle
+from deltaq_testing.oracle import ClearanceOracle, GateCounts
 
 # How hard an attack presses: in which share of the time the attacker could move as it wanted.
 

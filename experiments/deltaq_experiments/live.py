@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import tempfile
+import threading
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,10 +15,9 @@ from deltaq_controllers.camera.scene import Scene
 from deltaq_deploy.launch.bring_to_rest import bring_to_rest
 from deltaq_deploy.launch.cell_connection import connect, listen
 from deltaq_deploy.launch.child_process import Exited
-from deltaq_deploy.launch.errors import LaunchError
 from deltaq_deploy.launch.launcher import Launcher
+from deltaq_deploy.launch.program import LaunchError
 from deltaq_deploy.launch.services import Role, Service, cell_services, demo_controllers, recorder
-from deltaq_experiments.last_lines import LastLines
 from deltaq_experiments.options import Options
 from deltaq_experiments.scene import link_cycles
 from deltaq_experiments.trace import Trace
@@ -25,9 +26,30 @@ from deltaq_protocol import topics
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.codec import unpack
 from deltaq_protocol.messages import RobotState
-from deltaq_testing.counts import GateCounts
-from deltaq_testing.oracle import record_cycle_s
+from deltaq_testing.oracle import GateCounts, record_cycle_s
 from deltaq_testing.recorded import not_there_yet
+
+KEPT = 20
+"""Lines that are kept."""
+
+
+class LastLines:
+    """Keeps the last lines of all services; any thread may add one."""
+
+    def __init__(self) -> None:
+        self._lines: deque[str] = deque(maxlen=KEPT)
+        self._lock = threading.Lock()
+
+    def __call__(self, name: str, line: str) -> None:
+        """Keep a line of a service."""
+        with self._lock:
+            self._lines.append(f"{name}: {line}")
+
+    def text(self) -> str:
+        """The lines, oldest first."""
+        with self._lock:
+            return "\n".join(self._lines)
+
 
 START_S = 30.0
 """Longest time that the motion to the start of a run may take [s]."""

@@ -33,11 +33,12 @@ from deltaq_experiments.peg_and_valve_operators import (
     HandGoal,
     HandOperator,
     JointOperator,
+    OperatorHand,
+    Person,
     PostureOperator,
     ScriptedOperator,
     error_to,
 )
-from deltaq_experiments.peg_and_valve_person import OperatorHand, Person
 from deltaq_protocol.arrays import Array
 from deltaq_testing.virtual_cell.cell import VirtualCell
 

@@ -14,9 +14,8 @@ import numpy as np
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.roles import RoleError
 from deltaq_controllers.camera.scene import Scene
-from deltaq_experiments.figures import draw
+from deltaq_experiments.figures import Curve, FigurePanel, Marks, draw
 from deltaq_experiments.live import trace_of
-from deltaq_experiments.panels import Curve, FigurePanel, Marks
 from deltaq_experiments.scene import camera_controller, scene_of
 from deltaq_experiments.tracking import panels
 from deltaq_protocol import topics

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from deltaq_experiments.panels import FigurePanel
+from deltaq_experiments.figures import FigurePanel
 from deltaq_protocol.arrays import Array
-from deltaq_testing.counts import GateCounts, LimitCounts
+from deltaq_testing.oracle import GateCounts, LimitCounts
 
 
 class Figures(BaseModel):

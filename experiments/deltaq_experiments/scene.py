@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from typing import Protocol
+
+import numpy as np
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.roles import camera_roles
@@ -13,6 +16,7 @@ from deltaq_controllers.surroundings.setpoints import lag_s
 from deltaq_experiments.options import Options
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
+from deltaq_testing.oracle import ClearanceOracle
 
 VIEW_DISTANCE_M = 1.25
 
@@ -76,3 +80,79 @@ def link_cycles(scene: Scene, latency_s: float) -> int:
     if not 0.0 <= latency_s < math.inf:
         raise DeltaqError(f"latency_s must be a finite time of at least 0 s, got {latency_s}")
     return round(latency_s / scene.cycle_s)
+
+
+LEAST_CLEARANCE_M = 0.15
+LEAST_SELF_CLEARANCE_M = 0.05
+DISTANCES_M = 0.9, 1.7
+"""View distances that a start may have."""
+
+_REACH_RAD = np.array([0.6, 0.4, 0.4, 3.0, 2.0, 1.5])
+"""Ranges around home from which the joints of a start are drawn; the wrist's are largest."""
+
+
+class MeasuredView(Protocol):
+    """What measures a view.
+
+    Attributes:
+        desired_distance_m: desired view distance [m].
+    """
+
+    desired_distance_m: float
+
+    def errors(self, q: Array, q_leader: Array) -> tuple[float, float]:
+        """View angle error [rad] and view distance less the desired one [m]."""
+        ...
+
+
+def start_with_error(scene: Scene, camera: MeasuredView, error: float, seed: int) -> Array:
+    """A configuration from which the camera misses the leader's tool at its home by a given angle.
+
+    Args:
+        scene: who watches whom.
+        camera: measures the view.
+        error: the angle [rad].
+        seed: of the search.
+
+    Returns:
+        (n,) configuration of the robot with the camera, clear of everything [rad].
+
+    Raises:
+        DeltaqError: if none is found.
+    """
+    robot, q_leader = scene.robot, scene.leader.home
+    at_home = {name: one.home for name, one in scene.cell.robots.items()}
+    random, oracle = np.random.default_rng(seed), ClearanceOracle(scene.cell)
+    guard = 0.05 * (robot.upper - robot.lower)
+    reach = np.resize(_REACH_RAD, robot.n)
+    for _ in range(2000):
+        far = np.clip(robot.home + random.uniform(-reach, reach), robot.lower + guard, robot.upper - guard)
+        if camera.errors(far, q_leader)[0] < error:
+            continue
+        q = _between(camera, robot.home, far, q_leader, error)
+        distance = camera.errors(q, q_leader)[1] + camera.desired_distance_m
+        if not DISTANCES_M[0] < distance < DISTANCES_M[1]:
+            continue
+        places = at_home | {robot.name: q}
+        if (
+            oracle.between_robots_and_structure(places).distance_m > 0.9 * LEAST_CLEARANCE_M
+            and oracle.between_robots(places).distance_m > LEAST_CLEARANCE_M
+            and oracle.of_one_robot(places).distance_m > LEAST_SELF_CLEARANCE_M
+        ):
+            return q
+    raise DeltaqError(
+        f"no configuration of {robot.name} looks {np.rad2deg(error):.0f} degrees past the leader's tool within its "
+        "limits and clear of everything; try another --seed"
+    )
+
+
+def _between(camera: MeasuredView, near: Array, far: Array, q_leader: Array, error: float) -> Array:
+    """The configuration between `near` and `far` at which the angle passes `error`."""
+    low, high = 0.0, 1.0
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        if camera.errors(near + middle * (far - near), q_leader)[0] < error:
+            low = middle
+        else:
+            high = middle
+    return near + high * (far - near)

@@ -16,8 +16,7 @@ from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.camera.subtasks import LEVEL_RATIO, roll
 from deltaq_experiments.report import LeastClearance, ReachedSpeed
 from deltaq_protocol.arrays import Array
-from deltaq_testing.counts import LimitCounts
-from deltaq_testing.oracle import ClearanceOracle, limit_violations
+from deltaq_testing.oracle import ClearanceOracle, LimitCounts, limit_violations
 
 PEAK_OVER_S = 0.06
 """Time over which a speed counts: stamps of a live run are off by a part of a cycle."""

@@ -13,7 +13,7 @@ from deltaq_experiments.options import Options
 from deltaq_experiments.scene import link_cycles, scene_of
 from deltaq_experiments.trace import Trace
 from deltaq_protocol.arrays import Array
-from deltaq_testing.counts import GateCounts
+from deltaq_testing.oracle import GateCounts
 from deltaq_testing.recorded import virtual_cell
 from deltaq_testing.virtual_cell.arm import KrcArm
 from deltaq_testing.virtual_cell.cell import VirtualCell

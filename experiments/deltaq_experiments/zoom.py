@@ -11,12 +11,11 @@ from pydantic import BaseModel, ConfigDict
 
 from deltaq_controllers.camera.controllers import FocusController
 from deltaq_controllers.camera.scene import Scene
+from deltaq_experiments.figures import Curve, FigurePanel, Marks
 from deltaq_experiments.options import Options
-from deltaq_experiments.panels import Curve, FigurePanel, Marks
 from deltaq_experiments.report import ExperimentOutcome, Report
 from deltaq_experiments.scene import VIEW_DISTANCE_M, aim_arguments, camera_controller, load
-from deltaq_experiments.seen import seen
-from deltaq_experiments.summary import summary
+from deltaq_experiments.seen import seen, summary
 from deltaq_experiments.tracking import scripted_leader
 from deltaq_experiments.virtual import RunRecord, record
 from deltaq_protocol.arrays import Array

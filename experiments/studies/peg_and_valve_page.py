@@ -16,7 +16,7 @@ from deltaq_experiments.peg_and_valve import (
     ModeFigures,
     once,
 )
-from deltaq_experiments.peg_and_valve_person import ACTION_S, NOISE, NOISE_MEMORY_S, REACTION_S, SLIP
+from deltaq_experiments.peg_and_valve_operators import ACTION_S, NOISE, NOISE_MEMORY_S, REACTION_S, SLIP
 from deltaq_experiments.peg_and_valve_summary import CONCLUSIONS, FEW, FIGURES, MOST, by_mode
 
 PAGE = Path("docs/notes/modes-compared.md")

@@ -19,9 +19,8 @@ from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Phase, RobotStatus
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.phases import MAY_MOVE
-from deltaq_testing.deciding import CellUseError
-from deltaq_testing.faults.actions import Bombard, Freeze, Kill, PressStop, ReadNothing
-from deltaq_testing.faults.catalogue import Fault
+from deltaq_testing.faults.catalogue import Bombard, Fault, Freeze, Kill, PressStop, ReadNothing
+from deltaq_testing.faults.controller import CellUseError
 from deltaq_testing.faults.live_cell import MovingCell, Needs, rows_of
 from deltaq_testing.faults.live_inject import Injector
 from deltaq_testing.faults.panel import PanelClient, PanelError, pendant_message, recovery

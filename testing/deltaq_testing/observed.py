@@ -13,8 +13,44 @@ from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_testing.faults.report import Kept, is_good, judged
-from deltaq_testing.finding import JointTrackingError, RunFinding
 from deltaq_testing.oracle import TELEGRAM_STEP, ClearanceOracle, LeastDistance
+
+
+@dataclass(frozen=True)
+class RunFinding:
+    """The result of a check; true if the check holds.
+
+    Attributes:
+        good: whether the check holds.
+        told: what was measured, and what was allowed.
+    """
+
+    good: bool
+    told: str
+
+    def __bool__(self) -> bool:
+        """Whether the check holds."""
+        return self.good
+
+    def __repr__(self) -> str:
+        """What pytest shows of it."""
+        return f"<{'yes' if self.good else 'no'}: {self.told}>"
+
+
+@dataclass(frozen=True)
+class JointTrackingError:
+    """Error of a robot against a reference: that of the joint that is furthest off [rad or m].
+
+    Attributes:
+        max: at any time.
+        rms: root mean square over time.
+        final: in the end.
+    """
+
+    max: float
+    rms: float
+    final: float
+
 
 DECIMALS_M = 1e-4
 """What the decimals of a telegram may take off a distance [m]."""

@@ -12,7 +12,7 @@ import pytest
 
 if TYPE_CHECKING:
     from deltaq_testing.live import LiveCell
-    from deltaq_testing.live_cells import LiveCells
+    from deltaq_testing.live_start import LiveCells
     from deltaq_testing.virtual import CellUnderTest
     from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 
@@ -40,7 +40,7 @@ def new_virtual_cell(pytestconfig: pytest.Config) -> Callable[..., CellUnderTest
 
     For tests that need several, as those of hypothesis do, which run a test many times. A cell's model is read once.
     """
-    from deltaq_testing.faults.rsi_cell import load_rsi_cell
+    from deltaq_testing.faults.panel import load_rsi_cell
     from deltaq_testing.virtual import CellUnderTest
 
     loaded: dict[str, LoadedCell] = {}
@@ -75,7 +75,7 @@ def virtual_cell(
 @pytest.fixture(scope="session")
 def live_cells(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LiveCells]:
     """Keeps the cell of `live_cell` between tests, and ends it with the session."""
-    from deltaq_testing.live_cells import LiveCells
+    from deltaq_testing.live_start import LiveCells
 
     with LiveCells(lambda: tmp_path_factory.mktemp("cell")) as cells:
         yield cells

@@ -10,18 +10,20 @@ from typing import Any
 
 from deltaq_cell.models import nearest_name
 from deltaq_protocol.errors import DeltaqError
-from deltaq_testing.faults.actions import (
+from deltaq_testing.faults.catalogue import (
+    CATALOGUE,
     AskPanel,
     BeginInThePast,
     Bombard,
+    Fault,
     Freeze,
     Impair,
     Kill,
     Misbehave,
     Slow,
     StepClock,
+    UnknownFaultError,
 )
-from deltaq_testing.faults.catalogue import CATALOGUE, Fault, UnknownFaultError
 from deltaq_testing.virtual_cell.parts import Link, Process
 
 FOR_S = 0.5

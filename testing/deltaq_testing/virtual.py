@@ -13,13 +13,10 @@ from deltaq_emulator.states import KrcState
 from deltaq_protocol.messages import Error, Message, Outcome, Phase, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.phases import MAY_MOVE
-from deltaq_testing.controller_process import ControllerProcess
-from deltaq_testing.deciding import CellUseError, begun, deciding
-from deltaq_testing.faults.controller import VirtualController
-from deltaq_testing.faults.panel import PanelError, pendant_message
-from deltaq_testing.faults.rsi_cell import load_rsi_cell, must_have
-from deltaq_testing.faults.virtual_inject import BACK_S, ErringClient, VirtualInjector
-from deltaq_testing.line_controller import LineController
+from deltaq_testing.faults.controller import CellUseError, VirtualController, begun, deciding
+from deltaq_testing.faults.panel import PanelError, load_rsi_cell, must_have, pendant_message
+from deltaq_testing.faults.virtual import BACK_S, ErringClient, VirtualInjector
+from deltaq_testing.line_controller import ControllerProcess, LineController
 from deltaq_testing.observed import Observed
 from deltaq_testing.schedule import TimedFault, checked
 from deltaq_testing.virtual_cell.cell import VirtualCell

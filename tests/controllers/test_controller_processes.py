@@ -18,7 +18,6 @@ from deltaq_controllers.answers import own_view, view_of
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import RobotView
 from deltaq_controllers.robot_clocks import RobotClocks
-from deltaq_deploy.launch.private_cell import free_ports
 from deltaq_experiments.scene import VIEW_DISTANCE_M
 from deltaq_protocol.blocking import connect
 from deltaq_protocol.client import Cell
@@ -26,6 +25,7 @@ from deltaq_protocol.codec import InvalidMessageError
 from deltaq_protocol.errors import RefusedError
 from deltaq_protocol.messages import Outcome, RobotState, Sight, ToolPose, Verdict, ViewTarget
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_testing.private_cell import free_ports
 
 pytestmark = pytest.mark.live
 

@@ -22,7 +22,7 @@ from deltaq_experiments.peg_and_valve import (
     robot_for_the_task,
     run,
 )
-from deltaq_experiments.peg_and_valve_person import (
+from deltaq_experiments.peg_and_valve_operators import (
     ACTION_S,
     NOISE,
     REACTION_S,

@@ -16,7 +16,7 @@ from deltaq_controllers.ros2.mover import TrajectoryFollower, TrajectoryMover
 from deltaq_controllers.ros2.trajectory import Path
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Phase, RobotState, Verdict
-from deltaq_testing.faults.rsi_cell import load_rsi_cell
+from deltaq_testing.faults.panel import load_rsi_cell
 from deltaq_testing.schedule import fault
 from deltaq_testing.virtual import CellUnderTest
 

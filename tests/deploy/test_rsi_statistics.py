@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from krc_bench import Bench
 
-from deltaq_deploy.rsi.echo import ZeroEcho
+from deltaq_deploy.rsi.listen import ZeroEcho
 from deltaq_deploy.rsi.statistics import WireStatistics, look_at
 
 KRC = "192.168.10.20:1025"

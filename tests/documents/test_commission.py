@@ -14,10 +14,10 @@ import pytest
 from emulated import emulator
 
 from deltaq_cell.load import load_cell
-from deltaq_deploy.launch.private_cell import write_private_cell
 from deltaq_deploy.launch.real import refuse_unreal
 from deltaq_emulator.catalogue import Code
 from deltaq_emulator.settings import KrcSettings
+from deltaq_testing.private_cell import write_private_cell
 from deltaq_testing.virtual_cell.cell import VirtualCell
 
 GUIDE = (Path(__file__).parents[2] / "docs" / "how-to" / "commission.md").read_text(encoding="utf-8")

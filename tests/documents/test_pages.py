@@ -99,7 +99,7 @@ NOT_RUN = {
     "install.md": ["installs from a package index"],
     "train-a-policy.md": ["installs from a package index"],
     "run-a-cell.md": [
-        "tests/deploy/launch/test_service_dies.py kills a service and starts it again this way",
+        "tests/deploy/launch/test_running_cell.py kills a service and starts it again this way",
         "needs real robots",
         "each line keeps its terminal; tests/services/test_robot_server_shell.py starts a service this way",
         "keeps its terminal; tests/services/test_roles.py reads tokens this way",

@@ -19,8 +19,8 @@ from networks import own_network
 
 from deltaq_cell.description import RobotDescription, RsiDescription
 from deltaq_cell.load import find_cell, load_cell, resolve_near
-from deltaq_deploy.launch.private_cell import free_ports, write_private_cell
 from deltaq_protocol.rsi import AxisMap, SensorCodec, load_ethernet_xml
+from deltaq_testing.private_cell import free_ports, write_private_cell
 
 pytestmark = pytest.mark.service
 

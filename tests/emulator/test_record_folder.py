@@ -15,11 +15,11 @@ from typing import Any
 import pytest
 from krc_bench import Bench
 
-from deltaq_deploy.launch.private_cell import free_ports, write_private_cell
 from deltaq_emulator import recorder as record_folder
 from deltaq_emulator.faults import FaultyLink
 from deltaq_emulator.panel import Panel
 from deltaq_emulator.recorder import CsvRecorder, RecordError, RecordFolder
+from deltaq_testing.private_cell import free_ports, write_private_cell
 
 
 class Asked:

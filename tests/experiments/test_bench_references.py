@@ -14,15 +14,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deltaq_deploy.launch.errors import LaunchError
 from deltaq_deploy.launch.launcher import Launcher
+from deltaq_deploy.launch.program import LaunchError
 from deltaq_deploy.launch.services import Role, Service
 from deltaq_experiments.bench.asker import frame, framed
-from deltaq_experiments.bench.hop_reference import HopReferenceError, hop_reference
+from deltaq_experiments.bench.hop_reference import HopReferenceError, hop_reference, processor_seconds
 from deltaq_experiments.bench.live import _processor, _wait
 from deltaq_experiments.bench.native import CompilerError, program
-from deltaq_experiments.bench.processor_time import processor_seconds
-from deltaq_experiments.last_lines import LastLines
+from deltaq_experiments.live import LastLines
 
 COMPILERS = pytest.mark.parametrize("compiler", [None, "no-such-compiler"])
 

@@ -14,8 +14,8 @@ from deltaq_experiments.bench import cornered
 from deltaq_experiments.bench.codecs import messages_of_a_cycle
 from deltaq_experiments.bench.cornered import CorneredError, store, stored
 from deltaq_experiments.bench.decisions import near_obstacles
+from deltaq_experiments.bench.rsi_reply import standing_telegrams
 from deltaq_experiments.bench.table import BenchRow, BenchTable
-from deltaq_experiments.bench.telegrams import standing_telegrams
 from deltaq_protocol.codec import InvalidMessageError, pack, unpack
 from deltaq_protocol.messages import Outcome, Verdict
 from deltaq_services.robot_server.rsi_driver import sensor_codec

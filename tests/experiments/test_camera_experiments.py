@@ -19,9 +19,8 @@ from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.leader.attacking import AttackingLeader
 from deltaq_experiments import approach, collision, tracking, zoom
 from deltaq_experiments.collision import Pressing, attack_start
-from deltaq_experiments.figures import draw
+from deltaq_experiments.figures import Curve, FigurePanel, Marks, draw
 from deltaq_experiments.options import Options
-from deltaq_experiments.panels import Curve, FigurePanel, Marks
 from deltaq_experiments.scene import VIEW_DISTANCE_M, camera_controller, link_cycles, load, loop_latency_s
 from deltaq_experiments.seen import SeenRun
 from deltaq_experiments.trace import Trace, reached_speed, time_to_stay_below
@@ -29,12 +28,9 @@ from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
 from deltaq_testing.oracle import ClearanceOracle
 from studies.claims.__main__ import main as write_page
-from studies.claims.attacks import ATTACKS, CELLS
-from studies.claims.claim import Claim, ClaimOutcome
-from studies.claims.page import page
-from studies.claims.quantities import CLEARANCE, SLOWEST
-from studies.claims.sheets import ATTACK, CAMERA, Sheet
-from studies.claims.table import CLAIMS
+from studies.claims.claim import CLEARANCE, SLOWEST, Claim, ClaimOutcome
+from studies.claims.page import ATTACK, CAMERA, Sheet, page
+from studies.claims.table import ATTACKS, CELLS, CLAIMS
 
 PNG = b"\x89PNG\r\n"
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from stamped import MS, ns, stamp
 
-from deltaq_experiments.bench.hop_reference import HopTimes
+from deltaq_experiments.bench.hop_reference import HopTimes, machine_time
 from deltaq_experiments.bench.journeys import OF_ADMISSION, OF_DECISION, RobotStamps, by_robot, journeys
 from deltaq_experiments.bench.live_figures import (
     BrakeCause,
@@ -20,7 +20,6 @@ from deltaq_experiments.bench.live_figures import (
     ratio,
     robot_figures,
 )
-from deltaq_experiments.bench.processor_time import machine_time
 from deltaq_protocol.stamps import CycleOutcome, StampStation, WrittenStamps
 
 BRAKED = CycleOutcome.BRAKED

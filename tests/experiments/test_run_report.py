@@ -16,9 +16,8 @@ from commands import deltaq
 from deltaq_cell.cell_model import CellModel
 from deltaq_experiments.run_report.drawing import COLUMNS, timeline
 from deltaq_experiments.run_report.figures import figures
-from deltaq_experiments.run_report.page import page
+from deltaq_experiments.run_report.page import ReportError, page, write
 from deltaq_experiments.run_report.run import EmptyRecordingError, RunEvent, RunEventKind, read_run
-from deltaq_experiments.run_report.write import ReportError, write
 from deltaq_protocol import topics
 from deltaq_protocol.guarded import Command, CommandReply, Plan, ServerState
 from deltaq_protocol.messages import (
@@ -177,7 +176,7 @@ def test_half_a_report_is_not_left_behind_by_a_full_disk(tmp_path: Path) -> None
     file = tmp_path / "run.html"
     code = (
         "import sys, resource, signal; from pathlib import Path\n"
-        "from deltaq_experiments.run_report.write import ReportError, write\n"
+        "from deltaq_experiments.run_report.page import ReportError, write\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN); resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
         "try: write(Path(sys.argv[1]), 'x' * 100_000)\n"
         "except ReportError as error: print(error)\n"

@@ -5,7 +5,7 @@ import json
 import pytest
 from commands import deltaq
 
-from deltaq_deploy.launch.private_cell import write_private_cell
+from deltaq_testing.private_cell import write_private_cell
 
 
 def run(*arguments):

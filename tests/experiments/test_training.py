@@ -16,8 +16,7 @@ from gymnasium.vector import SyncVectorEnv
 from deltaq_cell.cell_model import CellModel
 from deltaq_experiments.scene import camera_controller, scene_of
 from deltaq_experiments.training import ENVIRONMENT
-from deltaq_experiments.training.environment import CameraEnvironment
-from deltaq_experiments.training.task import CameraTask, ViewErrors
+from deltaq_experiments.training.environment import CameraEnvironment, CameraTask, ViewErrors
 from deltaq_protocol.errors import DeltaqError
 from studies import training_speed as speed
 

@@ -16,7 +16,8 @@ from deltaq_protocol.errors import RefusedError
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
 
-pytestmark = pytest.mark.live
+# tests/services/test_cell_mismatch.py holds it by day, without processes
+pytestmark = [pytest.mark.live, pytest.mark.nightly]
 
 
 def test_a_gate_that_has_read_another_cell_moves_nothing_and_everybody_says_so(tmp_path: Path) -> None:

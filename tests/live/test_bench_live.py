@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 from commands import PROGRAM
 
-from deltaq_deploy.launch.private_cell import write_private_cell
 from deltaq_experiments.bench.live import LiveOptions, run_once
 from deltaq_experiments.bench.live_figures import NAMES
+from deltaq_testing.private_cell import write_private_cell
 
 pytestmark = pytest.mark.live
 

@@ -18,15 +18,14 @@ from contained import Container, is_allowed, may_be_real_time
 from networks import why_none
 
 from deltaq_cell.load import load_cell
-from deltaq_deploy.launch.compose import ADDRESS, compose_document, real_time_document
-from deltaq_deploy.launch.container import USER
-from deltaq_deploy.launch.resources import RESOURCES
-from deltaq_deploy.launch.services import cell_services, console_service
+from deltaq_deploy.launch.compose import ADDRESS, USER, compose_document, real_time_document
+from deltaq_deploy.launch.services import RESOURCES, cell_services, console_service
 from deltaq_proofs.two_sites.packets import within
 from deltaq_proofs.two_sites.sites import ip
 
 pytestmark = [
     pytest.mark.live,
+    pytest.mark.nightly,
     pytest.mark.timeout(600),
     pytest.mark.skipif(
         not is_allowed() or bool(why_none()), reason="no view or network of its own is allowed here"

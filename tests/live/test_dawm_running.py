@@ -12,9 +12,9 @@ from commands import PROGRAM
 from json_client import json_client
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_deploy.launch.private_cell import free_ports
+from deltaq_testing.private_cell import free_ports
 
-pytestmark = pytest.mark.live
+pytestmark = [pytest.mark.live, pytest.mark.nightly]
 
 
 async def test_a_client_of_json_lines_moves_all_joints_of_the_dual_arm_cell(tmp_path: Path) -> None:

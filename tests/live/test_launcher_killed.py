@@ -16,7 +16,8 @@ from live_stack import MOVING_RAD_S
 from deltaq_cell.cell_model import CellModel
 from deltaq_testing.oracle import record_cycle_s
 
-pytestmark = pytest.mark.live
+# tests/deploy/launch/test_launcher.py holds by day that no service outlives a launcher
+pytestmark = [pytest.mark.live, pytest.mark.nightly]
 
 PROGRAM = """
 import signal, sys

@@ -21,9 +21,9 @@ from own_robot import write_cell, write_package
 
 from deltaq_cell.find import find_file
 from deltaq_cell.load import load_cell
-from deltaq_deploy.launch.private_cell import free_ports
 from deltaq_protocol import connect
 from deltaq_protocol.client import Cell
+from deltaq_testing.private_cell import free_ports
 
 pytestmark = pytest.mark.live
 

@@ -11,7 +11,6 @@ import pytest
 from krc_side import FR, KRC, telegram
 
 from deltaq_cell.load import load_cell
-from deltaq_deploy.launch.private_cell import write_private_cell
 from deltaq_protocol import topics
 from deltaq_protocol.codec import unpack
 from deltaq_protocol.envelope import message_in
@@ -19,6 +18,7 @@ from deltaq_protocol.guarded import ServerState
 from deltaq_protocol.session import subscribe_newest
 from deltaq_services.guarded_realm import open_watching_session
 from deltaq_services.robot_server.probe_trial import PROBE_RAD
+from deltaq_testing.private_cell import write_private_cell
 
 pytestmark = pytest.mark.service
 

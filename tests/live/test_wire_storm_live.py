@@ -2,10 +2,10 @@
 
 import pytest
 
-from deltaq_deploy.launch.private_cell import write_private_cell
 from deltaq_proofs.storm.run import run_storm
 from deltaq_proofs.storm.witness import UNHEARD
-from deltaq_testing.faults.rsi_cell import load_rsi_cell
+from deltaq_testing.faults.panel import load_rsi_cell
+from deltaq_testing.private_cell import write_private_cell
 
 pytestmark = pytest.mark.live
 

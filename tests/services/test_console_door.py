@@ -9,12 +9,12 @@ import pytest
 import websockets
 from served_console import live, served, told
 
-from deltaq_deploy.launch.private_cell import free_ports
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 from deltaq_services.console.hli_link import HliLink
 from deltaq_services.console.settings import Door, Entrance, NoTokenError, Settings
 from deltaq_services.console.web import listening_socket
+from deltaq_testing.private_cell import free_ports
 
 TOKEN = "0123456789abcdef-desk"
 

@@ -9,7 +9,6 @@ import pytest
 from console_bench import BODIES, CELL, ConsoleBench
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_deploy.launch.private_cell import free_ports, write_private_cell
 from deltaq_protocol import driving
 from deltaq_services.console.core import ConsoleCore
 from deltaq_services.console.messages import AckOutcome
@@ -19,6 +18,7 @@ from deltaq_services.console.settings import NoFolderError, Settings
 from deltaq_services.console.shell import Console
 from deltaq_services.console.web import application, listening_socket, server_of
 from deltaq_services.recorder.writer import RecordingWriter
+from deltaq_testing.private_cell import free_ports, write_private_cell
 
 TOKEN = "0123456789abcdef-desk"
 REFUSED, ASKED, DONE = AckOutcome.REFUSED, AckOutcome.ASKED, AckOutcome.DONE

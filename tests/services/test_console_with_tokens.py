@@ -10,7 +10,6 @@ from served_console import Browser, live, served
 from small_cell import tool_pose
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_deploy.launch.private_cell import write_private_cell
 from deltaq_protocol.audit import AuditKind
 from deltaq_protocol.codec import pack
 from deltaq_protocol.messages import Challenge
@@ -19,6 +18,7 @@ from deltaq_services.console.settings import NoTokenError, Settings
 from deltaq_services.hli.audit import Audit
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.shell import Hli
+from deltaq_testing.private_cell import write_private_cell
 
 pytestmark = pytest.mark.long
 

@@ -25,8 +25,7 @@ from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.sim.tube import courses, motions, still_due
 from deltaq_testing.virtual_cell.cell import VirtualCell
 from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
-from deltaq_testing.virtual_cell.parts import Link, Process
-from deltaq_testing.virtual_cell.wires import MessageWire
+from deltaq_testing.virtual_cell.parts import Link, MessageWire, Process
 
 ZEROS = (0.0,) * 6
 STEP = 4e-4

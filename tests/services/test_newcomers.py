@@ -9,10 +9,10 @@ from collections.abc import AsyncIterator, Iterator
 
 import pytest
 
-from deltaq_deploy.launch.private_cell import free_ports
 from deltaq_services.hli import newcomers
 from deltaq_services.hli.newcomers import Newcomers
 from deltaq_services.hli.places import MAX_WAITING
+from deltaq_testing.private_cell import free_ports
 
 STOP = b'{"type":"stop"}\n'
 HELLO = b'{"type":"hello","protocol":1,"client":"x"}\n'

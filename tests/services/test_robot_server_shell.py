@@ -16,10 +16,10 @@ import yaml
 from krc_side import CELL, FR, XML, telegram
 
 import deltaq_deploy
-from deltaq_deploy.launch.private_cell import free_ports, write_private_cell
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_services.robot_server.krc_socket import MOST_READ, MOST_WAITING, KrcSocket
 from deltaq_services.robot_server.rsi_driver import RsiDriver, sensor_codec
+from deltaq_testing.private_cell import free_ports, write_private_cell
 
 
 class Bench:

@@ -13,7 +13,6 @@ from injected import error_in_call
 from krc_side import CELL, FR, KRC, XML, telegram
 
 from deltaq_cell.identity import content_identity
-from deltaq_deploy.launch.private_cell import free_ports
 from deltaq_protocol import topics
 from deltaq_protocol.guarded import Supervision
 from deltaq_protocol.messages import Phase
@@ -24,6 +23,7 @@ from deltaq_services.robot_server.guarded_link import GuardedLink
 from deltaq_services.robot_server.krc_socket import KrcSocket, RsiRobot
 from deltaq_services.robot_server.rsi_driver import RsiDriver, sensor_codec
 from deltaq_services.robot_server.shell import Ending, Loop
+from deltaq_testing.private_cell import free_ports
 
 WAITS_S = 10.0
 

@@ -19,7 +19,7 @@ PROGRAM = str(Path(sys.executable).with_name("deltaq"))
 _IMPORTED = [
     "__main__",
     "deltaq_deploy.command.app",
-    "deltaq_deploy.command.progress",
+    "deltaq_deploy.command.console",
     "deltaq_cell.cell_model",
 ]
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from deltaq_emulator.faults import FaultyLink, LinkFaults
 from deltaq_protocol.messages import Message
-from deltaq_testing.virtual_cell.wires import MessageWire
+from deltaq_testing.virtual_cell.parts import MessageWire
 
 
 class _Queue(FaultyLink):

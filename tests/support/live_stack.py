@@ -16,11 +16,11 @@ import pytest
 from deltaq_cell.cell_model import CellModel
 from deltaq_deploy.launch.cell_connection import connect
 from deltaq_deploy.launch.launcher import Launcher
-from deltaq_deploy.launch.private_cell import write_private_cell
 from deltaq_deploy.launch.services import Role, Service, cell_services
 from deltaq_protocol.errors import RefusedError
 from deltaq_protocol.messages import Phase
 from deltaq_testing.oracle import record_cycle_s
+from deltaq_testing.private_cell import write_private_cell
 
 MOVER = Path(__file__).with_name("mover.py")
 MOVING_RAD_S = np.deg2rad(25)

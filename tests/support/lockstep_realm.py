@@ -15,7 +15,6 @@ import numpy as np
 import zenoh
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_deploy.launch.private_cell import write_private_cell
 from deltaq_protocol import topics
 from deltaq_protocol.certified.names import IDENTITY
 from deltaq_protocol.codec import pack
@@ -30,6 +29,7 @@ from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.guarded_link import GuardedLink
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.sim.shell import Shell
+from deltaq_testing.private_cell import write_private_cell
 
 RECORDED = 4096
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deltaq_deploy.launch.private_cell import free_ports
+from deltaq_testing.private_cell import free_ports
 
 PACKAGE = "toy_arm"
 URDF = """<robot name="toy_arm">

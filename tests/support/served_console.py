@@ -14,10 +14,10 @@ from typing import Any
 import websockets
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_deploy.launch.private_cell import write_private_cell
 from deltaq_services.console.settings import Settings
 from deltaq_services.console.shell import Console
 from deltaq_services.console.web import application, listening_socket, server_of
+from deltaq_testing.private_cell import write_private_cell
 
 
 @asynccontextmanager

@@ -5,8 +5,8 @@ import pytest
 from ramps import STEP_RAD, ClosedRamp, Ramp, goal_of
 
 from deltaq_protocol.messages import Phase
-from deltaq_testing.deciding import CellUseError
-from deltaq_testing.faults.rsi_cell import load_rsi_cell
+from deltaq_testing.faults.controller import CellUseError
+from deltaq_testing.faults.panel import load_rsi_cell
 from deltaq_testing.observed import NothingObservedError
 from deltaq_testing.schedule import VIRTUAL, ScheduleError, fault
 from deltaq_testing.virtual import CellUnderTest

@@ -5,9 +5,8 @@ import sys
 import pytest
 from ramps import STEP_RAD
 
-from deltaq_testing.controller_process import ControllerProcess, ControllerProcessError
-from deltaq_testing.faults.rsi_cell import load_rsi_cell
-from deltaq_testing.line_controller import LineController
+from deltaq_testing.faults.panel import load_rsi_cell
+from deltaq_testing.line_controller import ControllerProcess, ControllerProcessError, LineController
 from deltaq_testing.schedule import fault
 from deltaq_testing.virtual import CellUnderTest
 

@@ -6,10 +6,10 @@ import subprocess
 import pytest
 from commands import PROGRAM
 
-from deltaq_deploy.launch.private_cell import write_private_cell
 from deltaq_testing.faults.catalogue import CATALOGUE, fault_named
-from deltaq_testing.faults.inject import inject
+from deltaq_testing.faults.panel import inject
 from deltaq_testing.faults.table import run_table
+from deltaq_testing.private_cell import write_private_cell
 
 pytestmark = pytest.mark.live
 

@@ -3,12 +3,12 @@
 import pytest
 
 from deltaq_cell.load import load_cell
-from deltaq_deploy.launch.private_cell import write_private_cell
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_testing.faults.catalogue import UnknownFaultError, fault_named
 from deltaq_testing.faults.clocks import NoCompilerError
-from deltaq_testing.faults.inject import inject
+from deltaq_testing.faults.panel import inject
 from deltaq_testing.faults.table import run_table
+from deltaq_testing.private_cell import write_private_cell
 
 
 def test_clocks_cannot_be_set_without_a_compiler(tmp_path, monkeypatch):

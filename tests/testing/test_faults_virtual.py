@@ -8,13 +8,12 @@ from deltaq_emulator.faults import LinkFaults
 from deltaq_services.phases import MAY_MOVE
 from deltaq_testing.faults.catalogue import CATALOGUE, UnknownFaultError, fault_named
 from deltaq_testing.faults.mover import CRUISE_RAD_S
+from deltaq_testing.faults.panel import load_rsi_cell
 from deltaq_testing.faults.report import BY_ITSELF
-from deltaq_testing.faults.rsi_cell import load_rsi_cell
 from deltaq_testing.faults.table import markdown, run_table
 from deltaq_testing.faults.virtual import run_fault
 from deltaq_testing.virtual_cell.cell import VirtualCell
-from deltaq_testing.virtual_cell.parts import Link, Process
-from deltaq_testing.virtual_cell.wires import MessageWire
+from deltaq_testing.virtual_cell.parts import Link, MessageWire, Process
 
 BRAKE_S = CRUISE_RAD_S / 10.9
 """A1 of the floor robot brakes at 10.9 rad/s^2."""

@@ -4,10 +4,17 @@ import numpy as np
 import pytest
 from krc_side import CELL, FR, KRC, MAX_DV, XML, KrcSide, telegram
 
-from deltaq_proofs.storm.admitted import ROUNDING, Admitted
 from deltaq_proofs.storm.forger import ForgedSender, Forger
-from deltaq_proofs.storm.pulses import Pulses
-from deltaq_proofs.storm.witness import UNHEARD, DatagramOrigin, Passed, UnexplainedError, Witness
+from deltaq_proofs.storm.witness import (
+    ROUNDING,
+    UNHEARD,
+    Admitted,
+    DatagramOrigin,
+    Passed,
+    Pulses,
+    UnexplainedError,
+    Witness,
+)
 from deltaq_services.robot_server.probe_trial import pulse_offsets
 from deltaq_services.robot_server.rsi_driver import sensor_codec
 

@@ -10,8 +10,7 @@ from deltaq_protocol.guarded import Admission
 from deltaq_protocol.messages import LeaseAction, LeaseReply, LeaseRequest, Outcome, Phase
 from deltaq_testing.virtual_cell.cell import VirtualCell, VirtualCellError
 from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
-from deltaq_testing.virtual_cell.parts import Link, Process
-from deltaq_testing.virtual_cell.wires import MessageWire
+from deltaq_testing.virtual_cell.parts import Link, MessageWire, Process
 
 STEP = np.array([1e-4, 0.0, 0.0, 0.0, 0.0, 0.0])
 

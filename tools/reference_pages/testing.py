@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from deltaq_testing import plugin, schedule, strategies
-from deltaq_testing.finding import JointTrackingError, RunFinding
-from deltaq_testing.observed import Observed
+from deltaq_testing.observed import JointTrackingError, Observed, RunFinding
 from deltaq_testing.scenario.model import (
     EndsAt,
     Expectations,

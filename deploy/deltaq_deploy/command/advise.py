@@ -12,8 +12,9 @@ from deltaq_deploy.command.options import (
     HandsMayLeaveOption,
     JsonOption,
     TradeOffOption,
+    two_criteria,
+    weights_of,
 )
-from deltaq_deploy.command.weights import two_criteria, weights_of
 from deltaq_deploy.launch.exit_status import BAD
 
 if TYPE_CHECKING:

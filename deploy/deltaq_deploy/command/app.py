@@ -15,9 +15,6 @@ from typer.core import TyperGroup
 
 from deltaq_deploy.command import (
     advise,
-    audit,
-    bench,
-    camera,
     demo,
     drive,
     fault,
@@ -99,11 +96,11 @@ app.command(rich_help_panel=WATCH)(watch.health)
 app.command(rich_help_panel=WATCH)(recordings.record)
 app.command(rich_help_panel=WATCH)(watch.metrics)
 app.command(rich_help_panel=WATCH)(watch.ros2)
-app.command(rich_help_panel=WATCH)(audit.audit)
+app.command(rich_help_panel=WATCH)(watch.audit)
 app.command(rich_help_panel=COMMAND)(drive.drive)
 app.command(rich_help_panel=COMMAND)(run.run)
-app.command(rich_help_panel=COMMAND)(camera.follow)
-app.command(rich_help_panel=COMMAND)(camera.view)
+app.command(rich_help_panel=COMMAND)(operate.follow)
+app.command(rich_help_panel=COMMAND)(operate.view)
 app.command(rich_help_panel=COMMAND)(advise.advise)
 app.command(rich_help_panel=COMMAND)(operate.stop)
 app.command(rich_help_panel=COMMAND)(operate.reset)
@@ -116,7 +113,7 @@ app.command(rich_help_panel=STUDY)(study.experiment)
 app.add_typer(fault.fault, name="fault", rich_help_panel=STUDY)
 app.command(rich_help_panel=STUDY)(fault.soak)
 app.command(rich_help_panel=STUDY)(study.peg_and_valve)
-app.command(rich_help_panel=STUDY)(bench.bench)
+app.command(rich_help_panel=STUDY)(study.bench)
 app.command(rich_help_panel=STUDY)(recordings.replay)
 app.command(rich_help_panel=STUDY)(recordings.plot)
 app.command(rich_help_panel=STUDY)(recordings.report)

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from deltaq_cell.description import CellDescription
-    from deltaq_deploy.command.observer import Track
     from deltaq_deploy.launch.launcher import Launcher
+    from deltaq_deploy.launch.rates import Track
     from deltaq_protocol.messages import RobotStatus, Status
 
 TICK_S = 0.25
@@ -43,8 +43,7 @@ def demo(
     from functools import partial
 
     from deltaq_cell.load import load_cell
-    from deltaq_deploy.command.console import console, prefixed_log, print_json
-    from deltaq_deploy.command.progress import shown_compiled_ahead
+    from deltaq_deploy.command.console import console, prefixed_log, print_json, shown_compiled_ahead
     from deltaq_deploy.command.up import tell_of_console
     from deltaq_deploy.launch.bring_to_rest import bring_to_rest
     from deltaq_deploy.launch.launcher import Launcher
@@ -88,8 +87,8 @@ def demo(
 def _follow(
     launcher: Launcher, cell: CellDescription, duration_s: float, output: Console
 ) -> tuple[dict[str, Any], list[str]]:
-    from deltaq_deploy.command.observer import Observer
     from deltaq_deploy.launch.cell_connection import connect, listen
+    from deltaq_deploy.launch.rates import Observer
 
     def ask() -> Status:
         with connect(cell, "deltaq demo") as running:

@@ -17,8 +17,9 @@ from deltaq_deploy.command.options import (
     JsonOption,
     RobotOption,
     TradeOffOption,
+    two_criteria,
+    weights_of,
 )
-from deltaq_deploy.command.weights import two_criteria, weights_of
 from deltaq_deploy.launch.exit_status import BAD
 
 if TYPE_CHECKING:
@@ -37,6 +38,17 @@ INPUTS = ("keyboard", "gamepad", "spacemouse")
 
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 """Signals that bring the robot to rest and end the drive."""
+
+
+JerkTimeOption = Annotated[
+    float,
+    typer.Option(
+        min=0.0,
+        max=1.0,
+        help="Time in which a joint's acceleration rises to its limit, in modes that move hands; "
+        "0 sets no limit to the jerk.",
+    ),
+]
 
 
 def drive(
@@ -69,15 +81,7 @@ def drive(
     speed_m_s: Annotated[
         float, typer.Option(min=0.001, max=0.5, help="Hand speed to begin with, at full deflection.")
     ] = 0.1,
-    jerk_time_s: Annotated[
-        float,
-        typer.Option(
-            min=0.0,
-            max=1.0,
-            help="Time in which a joint's acceleration rises to its limit, in modes that move hands; "
-            "0 sets no limit to the jerk.",
-        ),
-    ] = 0.0,
+    jerk_time_s: JerkTimeOption = 0.0,
     json: JsonOption = False,
 ) -> None:
     """Drive a robot by hand or by script; however the drive ends, the robot comes to rest and is released."""
@@ -88,16 +92,7 @@ def drive(
     from deltaq_deploy.command.drive_display import show
     from deltaq_deploy.launch.cell_connection import known_robot
 
-    if mode not in MODES:
-        raise typer.BadParameter(f"no mode {mode!r}; there are {', '.join(MODES)}", param_hint="--mode")
-    if frame not in FRAMES:
-        raise typer.BadParameter(f"no frame {frame!r}; there are {', '.join(FRAMES)}", param_hint="--frame")
-    if device not in INPUTS:
-        raise typer.BadParameter(f"no input {device!r}; there are {', '.join(INPUTS)}", param_hint="--input")
-    if script is not None and device != INPUTS[0]:
-        raise typer.BadParameter(
-            f"a script moves the robot alone; leave out --input {device}", param_hint="--script"
-        )
+    _check(mode, frame, device, is_scripted=script is not None)
     description = load_cell(cell)
     known_robot(description, robot)
     if master is not None:
@@ -120,6 +115,23 @@ def drive(
         raise error
     if script is not None and (summary["missed"] or any(each["error"] for each in summary["outputs"])):
         raise typer.Exit(BAD)
+
+
+def _check(mode: str, frame: str, device: str, is_scripted: bool) -> None:
+    """Check the words of the options.
+
+    Raises:
+        typer.BadParameter: naming those that there are.
+    """
+    for option, given, known in (("mode", mode, MODES), ("frame", frame, FRAMES), ("input", device, INPUTS)):
+        if given not in known:
+            raise typer.BadParameter(
+                f"no {option} {given!r}; there are {', '.join(known)}", param_hint=f"--{option}"
+            )
+    if is_scripted and device != INPUTS[0]:
+        raise typer.BadParameter(
+            f"a script moves the robot alone; leave out --input {device}", param_hint="--script"
+        )
 
 
 @dataclass(frozen=True)

@@ -32,10 +32,9 @@ def run(
 ) -> None:
     """Run scenarios in virtual time: faults for your controller; exit status 1 if an expectation was not met."""
     from deltaq_deploy.command.console import print_json, print_table
-    from deltaq_testing.scenario.file import load_scenario
-    from deltaq_testing.scenario.junit import junit_xml
+    from deltaq_testing.scenario.file import load_scenario, write_report
+    from deltaq_testing.scenario.page import junit_xml
     from deltaq_testing.scenario.run import Runner
-    from deltaq_testing.scenario.write import write_report
 
     scenarios = [(file, load_scenario(file)) for file in files]
     outcomes: list[ScenarioOutcome] = []
@@ -69,12 +68,10 @@ def search(
     json: JsonOption = False,
 ) -> None:
     """Look for faults under which a scenario fails, and shrink them; exit status 1 if there are any."""
-    from deltaq_deploy.command.console import print_json, print_table
-    from deltaq_deploy.command.progress import progress_bar
-    from deltaq_testing.scenario.file import dumped, load_scenario
+    from deltaq_deploy.command.console import print_json, print_table, progress_bar
+    from deltaq_testing.scenario.file import dumped, load_scenario, write_report
     from deltaq_testing.scenario.run import Runner
     from deltaq_testing.scenario.search import shortest_failure
-    from deltaq_testing.scenario.write import write_report
 
     scenario, runner = load_scenario(file), Runner(file.resolve().parent)
     with progress_bar(f"schedules of {file.name}") as progress:
@@ -123,6 +120,28 @@ def _as_map(outcome: ScenarioOutcome) -> dict[str, object]:
 # `deltaq fault impair`.
 
 
+UnitOption = Annotated[
+    str,
+    typer.Option(
+        help="Unit that the faults affect: bytes, lines or messages over TCP, datagrams over UDP; "
+        "bytes or datagrams if not given."
+    ),
+]
+FaultyOption = Annotated[
+    float | None, typer.Option(min=0.0, help="Duration of the faults; to the end if not given.")
+]
+RelayOption = Annotated[
+    float | None, typer.Option(min=0.0, help="Duration of the relay; until Ctrl-C if not given.")
+]
+RateOption = Annotated[float | None, typer.Option(min=1.0, help="Bytes per second; for a byte stream only.")]
+StallOption = Annotated[
+    bool, typer.Option("--stall", help="Let nothing pass, and lose nothing; for a byte stream only.")
+]
+CutOption = Annotated[
+    bool, typer.Option("--cut", help="Break connections and refuse new ones; for a byte stream only.")
+]
+
+
 def impair(
     listen: Annotated[
         str,
@@ -131,13 +150,7 @@ def impair(
         ),
     ],
     to: Annotated[str, typer.Option(metavar="ENDPOINT", help="Address at which the other party listens.")],
-    unit: Annotated[
-        str,
-        typer.Option(
-            help="Unit that the faults affect: bytes, lines or messages over TCP, datagrams over UDP; "
-            "bytes or datagrams if not given."
-        ),
-    ] = "",
+    unit: UnitOption = "",
     delay_s: Annotated[float, typer.Option(min=0.0, max=10.0, help="Delay of each unit.")] = 0.0,
     jitter_s: Annotated[
         float, typer.Option(min=0.0, max=10.0, help="Largest additional delay of each unit.")
@@ -152,22 +165,12 @@ def impair(
     ] = 0.0,
     reorder_share: Annotated[float, typer.Option(min=0.0, max=1.0, help="Fraction that is reordered.")] = 0.0,
     corrupt_share: Annotated[float, typer.Option(min=0.0, max=1.0, help="Fraction that is garbled.")] = 0.0,
-    rate_bytes_s: Annotated[
-        float | None, typer.Option(min=1.0, help="Bytes per second; for a byte stream only.")
-    ] = None,
-    stall: Annotated[
-        bool, typer.Option("--stall", help="Let nothing pass, and lose nothing; for a byte stream only.")
-    ] = False,
-    cut: Annotated[
-        bool, typer.Option("--cut", help="Break connections and refuse new ones; for a byte stream only.")
-    ] = False,
+    rate_bytes_s: RateOption = None,
+    stall: StallOption = False,
+    cut: CutOption = False,
     after_s: Annotated[float, typer.Option(min=0.0, help="Time until the faults begin.")] = 0.0,
-    for_s: Annotated[
-        float | None, typer.Option(min=0.0, help="Duration of the faults; to the end if not given.")
-    ] = None,
-    duration_s: Annotated[
-        float | None, typer.Option(min=0.0, help="Duration of the relay; until Ctrl-C if not given.")
-    ] = None,
+    for_s: FaultyOption = None,
+    duration_s: RelayOption = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random numbers.")] = 0,
 ) -> None:
     """Relay a link between two addresses, with delay, loss, duplicates, stalls or cuts.
@@ -177,10 +180,9 @@ def impair(
     import asyncio
     import contextlib
 
-    from deltaq_deploy.launch.parent import while_parent_lives
+    from deltaq_deploy.launch.child_process import while_parent_lives
     from deltaq_protocol.endpoint import Endpoint
-    from deltaq_testing.impairment.relay import unit_of, wire_faults
-    from deltaq_testing.impairment.schedule import impair_for_a_while
+    from deltaq_testing.impairment.relay import impair_for_a_while, unit_of, wire_faults
 
     if keep_order and not jitter_s:
         raise typer.BadParameter(
@@ -201,22 +203,11 @@ def impair(
         "cut": cut,
     }
     faults = wire_faults(chosen, {name: value for name, value in asked.items() if value})
+    relaying = impair_for_a_while(
+        near, far, chosen, faults, typer.echo, after_s=after_s, for_s=for_s, duration_s=duration_s, seed=seed
+    )
     with contextlib.suppress(KeyboardInterrupt):  # that is how a relay ends
-        asyncio.run(
-            while_parent_lives(
-                impair_for_a_while(
-                    near,
-                    far,
-                    chosen,
-                    faults,
-                    typer.echo,
-                    after_s=after_s,
-                    for_s=for_s,
-                    duration_s=duration_s,
-                    seed=seed,
-                )
-            )
-        )
+        asyncio.run(while_parent_lives(relaying))
 
 
 # `deltaq soak`.
@@ -236,9 +227,8 @@ def soak(
     import tempfile
 
     from deltaq_deploy.command.console import print_json
-    from deltaq_testing.scenario.write import must_be_folder, write_report
-    from deltaq_testing.soak import SoakRound, run_soak
-    from deltaq_testing.soak_figure import figure_of
+    from deltaq_testing.scenario.file import must_be_folder, write_report
+    from deltaq_testing.soak import SoakRound, figure_of, run_soak
 
     def tell(one: SoakRound) -> None:
         found = "good" if one.good else f"not good: {one.clear}; {one.limits}; recovered: {one.recovered}"
@@ -319,8 +309,7 @@ def table(
     markdown: Annotated[bool, typer.Option("--markdown", help="Print a table for a document.")] = False,
 ) -> None:
     """Inject faults into a moving robot, one by one; exit status 1 if a limit was passed or it never moved again."""
-    from deltaq_deploy.command.console import print_json, print_table
-    from deltaq_deploy.command.progress import progress_bar
+    from deltaq_deploy.command.console import print_json, print_table, progress_bar
     from deltaq_testing.faults import table as fault_table
     from deltaq_testing.faults.catalogue import CATALOGUE, fault_named
 
@@ -355,7 +344,7 @@ def inject(
     from deltaq_deploy.command.console import print_json
     from deltaq_deploy.launch.cell_connection import known_robot
     from deltaq_testing.faults.catalogue import fault_named
-    from deltaq_testing.faults.inject import inject as run
+    from deltaq_testing.faults.panel import inject as run
 
     description = load_cell(cell)
     known_robot(description, robot)

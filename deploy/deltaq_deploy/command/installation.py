@@ -198,8 +198,7 @@ def doctor(cell: CellOption = "lab", json: JsonOption = False) -> None:
 
     from deltaq_cell.load import load_cell
     from deltaq_deploy.command.console import print_json, print_table
-    from deltaq_deploy.launch.doctor import examine
-    from deltaq_deploy.launch.findings import Rating
+    from deltaq_deploy.launch.doctor import Rating, examine
 
     findings = examine(load_cell(cell), cell)
     bad = any(finding.verdict is Rating.BAD for finding in findings)

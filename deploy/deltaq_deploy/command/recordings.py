@@ -27,8 +27,7 @@ def record(
     import signal
 
     from deltaq_cell.load import load_cell
-    from deltaq_deploy.command.console import print_json, print_table
-    from deltaq_deploy.command.progress import progress_bar
+    from deltaq_deploy.command.console import print_json, print_table, progress_bar
     from deltaq_services.process import end_on_interrupt
     from deltaq_services.recorder.shell import Recorder
 
@@ -55,8 +54,7 @@ def replay(
     file: Annotated[Path, typer.Argument(help="MCAP file that deltaq recorded.")], json: JsonOption = False
 ) -> None:
     """Run a recording through the gate again and compare every verdict; exit status 1 if any differs or is missing."""
-    from deltaq_deploy.command.console import print_json, print_table
-    from deltaq_deploy.command.progress import progress_bar
+    from deltaq_deploy.command.console import print_json, print_table, progress_bar
     from deltaq_testing.replay import replay as run
 
     with progress_bar(f"replaying {file}") as progress:
@@ -132,7 +130,7 @@ def plot(
     ] = None,
 ) -> None:
     """Draw a recording: the paths of the tools, or the paper's figure if the camera on fr follows gr."""
-    from deltaq_deploy.command.progress import progress_bar
+    from deltaq_deploy.command.console import progress_bar
     from deltaq_experiments.replay_plot import plot as draw
 
     picture = figure or file.with_suffix(".png")
@@ -153,12 +151,10 @@ def report(
     ] = False,
 ) -> None:
     """Report a recording on one HTML page: verdicts, stops and faults over time, clearance, joints and limits."""
-    from deltaq_deploy.command.console import print_json
-    from deltaq_deploy.command.progress import progress_bar
+    from deltaq_deploy.command.console import print_json, progress_bar
     from deltaq_experiments.run_report.figures import figures
-    from deltaq_experiments.run_report.page import page
+    from deltaq_experiments.run_report.page import must_be_free, page, write
     from deltaq_experiments.run_report.run import read_run
-    from deltaq_experiments.run_report.write import must_be_free, write
 
     place = output or (None if json else file.with_suffix(".html"))
     if place is not None:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import sys
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from deltaq_controllers.camera import FOLLOWS
 from deltaq_deploy.command.options import CellOption, JsonOption
 from deltaq_deploy.launch.exit_status import BAD
+
+if TYPE_CHECKING:
+    from deltaq_experiments.bench.live import LiveOptions, LiveRun
+    from deltaq_experiments.bench.table import BenchTable
 
 
 class Experiment(StrEnum):
@@ -27,6 +32,32 @@ CONTROLLERS = (
     "paper, predictive, qp, clear-view, escape, a printed variant (printed, "
     "printed-decay, …), or package.module:function."
 )
+
+
+LatencyOption = Annotated[
+    float, typer.Option(min=0.0, help="Delay of the leader's states, on top of drives and cycles.")
+]
+LengthOption = Annotated[
+    float | None,
+    typer.Option(
+        min=1.0, help="Length of the run, in the cell's time; by default 40, and 5 for each approach."
+    ),
+]
+SettleOption = Annotated[
+    float, typer.Option(min=0.0, help="Duration of the start-up, which the figures leave out.")
+]
+SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the run; the same seed gives the same run.")]
+TargetOption = Annotated[str, typer.Option(help="What a collision aims at: lens, wrist, elbow or all.")]
+AimOption = Annotated[
+    tuple[float, float, float],
+    typer.Option(help="Point of the leader's tool to look at, in the tool's frame."),
+]
+NoGateOption = Annotated[
+    bool,
+    typer.Option(
+        "--no-gate", help="Run a collision without the gate, to show what the follower alone prevents."
+    ),
+]
 
 
 def experiment(
@@ -46,32 +77,13 @@ def experiment(
     stick_m_s2: Annotated[
         float, typer.Option(min=0.1, help="Largest acceleration that the leader's tool is asked for.")
     ] = 2.0,
-    latency_s: Annotated[
-        float, typer.Option(min=0.0, help="Delay of the leader's states, on top of drives and cycles.")
-    ] = 0.0,
-    duration_s: Annotated[
-        float | None,
-        typer.Option(
-            min=1.0, help="Length of the run, in the cell's time; by default 40, and 5 for each approach."
-        ),
-    ] = None,
-    settle_s: Annotated[
-        float, typer.Option(min=0.0, help="Duration of the start-up, which the figures leave out.")
-    ] = 5.0,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the run; the same seed gives the same run.")] = 0,
-    target: Annotated[
-        str, typer.Option(help="What a collision aims at: lens, wrist, elbow or all.")
-    ] = "lens",
-    aim_offset_m: Annotated[
-        tuple[float, float, float],
-        typer.Option(help="Point of the leader's tool to look at, in the tool's frame."),
-    ] = (0.0, 0.0, 0.0),
-    no_gate: Annotated[
-        bool,
-        typer.Option(
-            "--no-gate", help="Run a collision without the gate, to show what the follower alone prevents."
-        ),
-    ] = False,
+    latency_s: LatencyOption = 0.0,
+    duration_s: LengthOption = None,
+    settle_s: SettleOption = 5.0,
+    seed: SeedOption = 0,
+    target: TargetOption = "lens",
+    aim_offset_m: AimOption = (0.0, 0.0, 0.0),
+    no_gate: NoGateOption = False,
     live: Annotated[bool, typer.Option("--live", help="Run over real processes, zenoh and UDP.")] = False,
     json: JsonOption = False,
     figure: Annotated[Path | None, typer.Option(help="Picture to write, laid out as in the paper.")] = None,
@@ -80,12 +92,7 @@ def experiment(
     ] = None,
 ) -> None:
     """Run an experiment in virtual time, or live, and report figures; exit status 1 on a violation."""
-    import importlib
-
     from deltaq_deploy.command.console import print_json
-    from deltaq_deploy.command.progress import progress_bar, shown_compiled_ahead
-    from deltaq_deploy.launch.prepare import Needed
-    from deltaq_experiments.figures import draw
     from deltaq_services.recorder.writer import RecordingError
 
     if name is Experiment.ATTACK:
@@ -99,37 +106,24 @@ def experiment(
         raise typer.BadParameter(f"--no-gate goes with collision; {name.value} runs through the gate")
     if record is not None and record.exists():
         raise RecordingError(f"{record} exists already; a recording is never overwritten, name another file")
-    with shown_compiled_ahead(Needed([controller])):
-        # imported here, since these modules search for their machine code on import
-        from deltaq_experiments.options import Options
-
-        options = Options(
-            cell=cell,
-            controller=controller,
-            robot=robot,
-            leader=leader,
-            leader_speed_m_s=leader_speed_m_s,
-            stick_m_s2=stick_m_s2,
-            latency_s=latency_s,
-            duration_s=duration_s,
-            seed=seed,
-            settle_s=settle_s,
-            live=live,
-            target=target,
-            aim_offset_m=aim_offset_m,
-            gated=not no_gate,
-            record=record,
-        )
-        module = importlib.import_module(f"deltaq_experiments.{name.value}")
-        length = f"{name.value}, {duration_s or module.DURATION_S:g} s"
-        with progress_bar(f"{length} live" if live else length):
-            outcome = module.run(options)
-    report = outcome.report.model_dump(mode="json")
-    if figure is not None:
-        reached = report["leader_reached_m_s"]
-        leads = f"{leader_speed_m_s:g} m/s asked, mean {reached['mean']:.2f}, peak {reached['peak']:.2f}"
-        title = f"{name.value}, controller {controller}, leader: {leads}, seed {seed}"
-        draw(outcome.panels, title, figure)
+    options = {
+        "cell": cell,
+        "controller": controller,
+        "robot": robot,
+        "leader": leader,
+        "leader_speed_m_s": leader_speed_m_s,
+        "stick_m_s2": stick_m_s2,
+        "latency_s": latency_s,
+        "duration_s": duration_s,
+        "seed": seed,
+        "settle_s": settle_s,
+        "live": live,
+        "target": target,
+        "aim_offset_m": aim_offset_m,
+        "gated": not no_gate,
+        "record": record,
+    }
+    report = _run(name, options, figure)
     if json:
         print_json(report)
     else:
@@ -138,9 +132,36 @@ def experiment(
         raise typer.Exit(BAD)
 
 
+def _run(name: Experiment, asked: dict[str, Any], figure: Path | None) -> dict[str, Any]:
+    """Run an experiment with the options asked for, draw its figure, and return its report."""
+    import importlib
+
+    from deltaq_deploy.command.console import progress_bar, shown_compiled_ahead
+    from deltaq_deploy.launch.prepare import Needed
+    from deltaq_experiments.figures import draw
+
+    with shown_compiled_ahead(Needed([asked["controller"]])):
+        # imported here, since these modules search for their machine code on import
+        from deltaq_experiments.options import Options
+
+        options = Options(**asked)
+        module = importlib.import_module(f"deltaq_experiments.{name.value}")
+        length = f"{name.value}, {options.duration_s or module.DURATION_S:g} s"
+        with progress_bar(f"{length} live" if options.live else length):
+            outcome = module.run(options)
+    report: dict[str, Any] = outcome.report.model_dump(mode="json")
+    if figure is not None:
+        reached = report["leader_reached_m_s"]
+        leads = (
+            f"{options.leader_speed_m_s:g} m/s asked, mean {reached['mean']:.2f}, peak {reached['peak']:.2f}"
+        )
+        title = f"{name.value}, controller {options.controller}, leader: {leads}, seed {options.seed}"
+        draw(outcome.panels, title, figure)
+    return report
+
+
 def _attack(cell: str, seed: int, duration_s: float, json: bool) -> None:
-    from deltaq_deploy.command.console import print_json
-    from deltaq_deploy.command.progress import progress_bar
+    from deltaq_deploy.command.console import print_json, progress_bar
     from deltaq_testing.attack import run
 
     with progress_bar(f"attack, {duration_s:g} s") as move:
@@ -179,8 +200,7 @@ def peg_and_valve(
     json: JsonOption = False,
 ) -> None:
     """Put in a peg and turn a valve in each mode of teleoperation, in virtual time; report time and error."""
-    from deltaq_deploy.command.console import print_json, print_table
-    from deltaq_deploy.command.progress import progress_bar
+    from deltaq_deploy.command.console import print_json, print_table, progress_bar
     from deltaq_experiments.peg_and_valve import OFF_MM, OPERATORS, TILT_DEG, robot_for_the_task, run
     from deltaq_experiments.peg_and_valve_summary import FIGURES, by_mode, distributions
 
@@ -213,3 +233,168 @@ def peg_and_valve(
                 typer.echo(f"{one.mode}, seed {one.seed}: {one.undone}")
     if any(one.undone for one in runs):
         raise typer.Exit(BAD)
+
+
+def bench(
+    cell: CellOption = "lab",
+    cycles: Annotated[int, typer.Option(min=10, help="Cycles of tracking that are timed.")] = 400,
+    live: Annotated[
+        bool, typer.Option("--live", help="Run the cell, and time each increment on its way through it.")
+    ] = False,
+    follower: Annotated[str, typer.Option(help="Live: the follower's camera controller.")] = "qp",
+    duration_s: Annotated[float, typer.Option(min=0.5, help="Live: duration of the measurement.")] = 60.0,
+    warm_up_s: Annotated[float, typer.Option(min=0.0, help="Live: time before the measurement.")] = 10.0,
+    runs: Annotated[int, typer.Option(min=1, help="Live: number of runs; each is reported.")] = 1,
+    json: JsonOption = False,
+) -> None:
+    """Measure against references in the same run; exit status 1 if a bound is not kept."""
+    if live:
+        from deltaq_experiments.bench.live import LiveOptions
+
+        options = LiveOptions(cell, follower, warm_up_s, duration_s)
+        good = _live(options, runs, json)
+    else:
+        good = _alone(cell, cycles, json)
+    if not good:
+        raise typer.Exit(BAD)
+
+
+def _alone(cell: str, cycles: int, json: bool) -> bool:
+    from deltaq_deploy.command.console import print_json, progress_bar, shown_compiled_ahead
+    from deltaq_deploy.launch.prepare import Needed
+    from deltaq_experiments.bench.measure import run
+
+    with shown_compiled_ahead(Needed()), progress_bar("measuring") as move:
+        table = run(cell, cycles, move)
+    if json:
+        print_json(table.model_dump(mode="json") | {"good": table.good})
+    else:
+        show(table)
+    return table.good
+
+
+def show(table: BenchTable) -> None:
+    """The rows as people read them."""
+    from deltaq_deploy.command.console import print_table
+
+    columns = (
+        "what",
+        "reference",
+        "median us",
+        "reference us",
+        "median",
+        "p99",
+        "p99.9",
+        "longest",
+        "bounds",
+    )
+    rows = [
+        (
+            row.what,
+            row.reference,
+            f"{row.median_us:.0f}",
+            f"{row.reference_us:.0f}",
+            f"{row.median_ratio:.2f}",
+            f"{row.p99_ratio:.2f}",
+            f"{row.p99_9_ratio:.2f}",
+            f"{row.longest_ratio:.2f}",
+            ", ".join(
+                f"{name} {bound:g}{'' if ratio <= bound else ' MISSED'}"
+                for name, (ratio, bound) in row.bounds.items()
+            )
+            or None,
+        )
+        for row in table.rows
+    ]
+    print_table("figures as multiples of their reference", columns, rows)
+
+
+def _live(options: LiveOptions, runs: int, json: bool) -> bool:
+    from deltaq_deploy.command.console import console, print_json, progress_bar, shown_compiled_ahead
+    from deltaq_deploy.launch.prepare import Needed
+    from deltaq_experiments.bench.live import run_once
+
+    output = console(sys.stderr)
+    told: list[LiveRun] = []
+    length_s = options.warm_up_s + options.duration_s
+    with shown_compiled_ahead(Needed([options.follower])):
+        for number in range(1, runs + 1):
+            with progress_bar(f"run {number} of {runs}") as move:
+                told.append(
+                    run_once(options, lambda time_s: move(round(time_s * 1e3), round(length_s * 1e3)))
+                )
+            if runs > 1 and not json:
+                output.print(f"run {number} of {runs} is done")
+    good = all(run.good for run in told)
+    if json:
+        print_json(
+            {
+                "cell": options.cell,
+                "follower": options.follower,
+                "duration_s": options.duration_s,
+                "warm_up_s": options.warm_up_s,
+                "runs": [run.model_dump(mode="json") | {"good": run.good} for run in told],
+                "good": good,
+            }
+        )
+    else:
+        for number, run in enumerate(told, start=1):
+            show_run(run, number)
+    return good
+
+
+def show_run(run: LiveRun, number: int) -> None:
+    """One live run as people read it."""
+    from deltaq_deploy.command.console import print_table
+
+    for name, robot in run.robots.items():
+        columns = ("station", "passed", "missing", "p50", "p99", "p99.9", "longest", "hops", "p50 x", "p99 x")
+        rows = [
+            (
+                station.station,
+                station.age_ms.count,
+                station.missing,
+                _text(station.age_ms.p50),
+                _text(station.age_ms.p99),
+                _text(station.age_ms.p99_9),
+                _text(station.age_ms.longest),
+                station.hops,
+                _text(station.ratio_p50, 1),
+                _text(station.ratio_p99, 1),
+            )
+            for station in robot.stations
+        ]
+        print_table(f"run {number}, {name}: ms since the telegram that an increment answers", columns, rows)
+        if robot.braked:
+            title = f"run {number}, {name}: {robot.cycles - robot.fresh} of {robot.cycles} cycles without an admission"
+            print_table(title, ("because", "cycles"), robot.braked.items())
+    spent = sorted(run.processor_us.items(), key=lambda item: -item[1])
+    title = f"run {number}: processor time of a cycle"
+    print_table(title, ("process", "µs"), [(name, f"{us:.0f}") for name, us in spent])
+    figures = [
+        (
+            row.what,
+            f"{_text(row.value)} {row.unit}",
+            f"{_text(row.reference)} {row.unit}",
+            _text(row.ratio),
+            _bound(row.at_least, row.at_most, row.unit),
+            {None: None, True: "kept", False: "MISSED"}[row.kept],
+        )
+        for row in run.rows
+    ]
+    reference = f"{run.reference['language']}, same hops"
+    print_table(f"run {number}: figures", ("what", "here", reference, "ratio", "bound", ""), figures)
+    for process in run.silent:
+        print(f"{process} left no stamps: its stations are missing")
+    if run.overwritten:
+        print(f"{run.overwritten} of the earliest stamps were lost: measure for a shorter time")
+
+
+def _text(value: float | None, digits: int = 2) -> str | None:
+    return None if value is None else f"{value:.{digits}f}"
+
+
+def _bound(at_least: float | None, at_most: float | None, unit: str) -> str | None:
+    if at_least is not None:
+        return f"at least {at_least:g} {unit}"
+    return None if at_most is None else f"at most {at_most:g} {unit}"

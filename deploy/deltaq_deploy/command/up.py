@@ -12,7 +12,11 @@ from deltaq_deploy.command.options import CellOption, ConsoleOption
 from deltaq_deploy.launch.exit_status import BAD
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from deltaq_cell.description import CellDescription
     from deltaq_deploy.launch.launcher import Launcher
+    from deltaq_deploy.launch.services import Service
 
 
 def up(
@@ -45,25 +49,12 @@ def up(
     """Start the services of a cell on this machine, one process each; Ctrl-C brings the robots to rest."""
     from functools import partial
 
-    from deltaq_cell.find import find_cell
     from deltaq_cell.load import load_cell
-    from deltaq_deploy.command.console import console, json_log, prefixed_log
-    from deltaq_deploy.command.progress import shown_compiled_ahead
+    from deltaq_deploy.command.console import console, json_log, prefixed_log, shown_compiled_ahead
     from deltaq_deploy.launch.bring_to_rest import bring_to_rest
     from deltaq_deploy.launch.launcher import Launcher
     from deltaq_deploy.launch.prepare import needed_by
-    from deltaq_deploy.launch.real import refuse_unreal
-    from deltaq_deploy.launch.services import (
-        Role,
-        cell_services,
-        console_is_installed,
-        console_service,
-        recorder,
-        select,
-    )
     from deltaq_protocol.log import FORMAT, LogFormat, log_format_named
-    from deltaq_services.hli.client_roles import client_roles
-    from deltaq_services.hli.line_encryption import line_encryption
     from deltaq_services.process import AUDIT_FILE
 
     chosen = log_format_named(log_format)
@@ -71,23 +62,11 @@ def up(
     description = load_cell(cell)
     audit_file, why_none = (None, "") if no_audit else audit_file_of(audit, description.cell)
     os.environ.pop(AUDIT_FILE, None)  # the HLI is told by its arguments, or not at all
-    services = cell_services(description, cell, real, str(audit_file or ""))
-    if record:
-        services = (*services, recorder(cell, record))
-    if with_console and console_is_installed():
-        services = (*services, console_service(description, cell, services, recordings))
-    if only:
-        services = select(services, [name.strip() for name in only.split(",")])
-        if any(service.role is Role.CONSOLE for service in services):
-            others = tuple(service for service in services if service.role is not Role.CONSOLE)
-            services = (*others, console_service(description, cell, others, recordings))
-    if real:
-        servers = [service for service in services if service.role is Role.ROBOT_SERVER]
-        refuse_unreal(description, find_cell(cell), [server.robot for server in servers if server.robot])
-    if any(service.role is Role.HLI for service in services):
-        # refuse an open realm that other machines reach, and tokens in the clear
-        client_roles(description)
-        line_encryption(description)
+    wanted = [name.strip() for name in only.split(",")] if only else []
+    services = _services(
+        description, cell, real, str(audit_file or ""), record, recordings, with_console, wanted
+    )
+    _refuse_unsafe(description, cell, services, real)
     names = [service.name for service in services]
     log = json_log(services) if chosen is LogFormat.JSON else prefixed_log(console(), names)
     launcher = Launcher(services, log, partial(bring_to_rest, description, "deltaq up"))
@@ -106,6 +85,55 @@ def up(
         ended = watch(launcher, cell)
     if ended or launcher.unrested:
         raise typer.Exit(BAD)
+
+
+def _services(
+    description: CellDescription,
+    cell: str,
+    real: bool,
+    audit: str,
+    record: str,
+    recordings: str,
+    with_console: bool,
+    only: Sequence[str],
+) -> tuple[Service, ...]:
+    """What is started, in its order; a console says which robots are emulated by what is started beside it."""
+    from deltaq_deploy.launch.services import (
+        Role,
+        cell_services,
+        console_is_installed,
+        console_service,
+        recorder,
+        select,
+    )
+
+    services = cell_services(description, cell, real, audit)
+    if record:
+        services = (*services, recorder(cell, record))
+    if with_console and console_is_installed():
+        services = (*services, console_service(description, cell, services, recordings))
+    if only:
+        services = select(services, only)
+        if any(service.role is Role.CONSOLE for service in services):
+            others = tuple(service for service in services if service.role is not Role.CONSOLE)
+            services = (*others, console_service(description, cell, others, recordings))
+    return services
+
+
+def _refuse_unsafe(description: CellDescription, cell: str, services: Sequence[Service], real: bool) -> None:
+    """Refuse a cell that cannot be that of real robots, an open realm without tokens, and tokens in the clear."""
+    from deltaq_cell.find import find_cell
+    from deltaq_deploy.launch.real import refuse_unreal
+    from deltaq_deploy.launch.services import Role
+    from deltaq_services.hli.client_roles import client_roles
+    from deltaq_services.hli.line_encryption import line_encryption
+
+    if real:
+        servers = [service for service in services if service.role is Role.ROBOT_SERVER]
+        refuse_unreal(description, find_cell(cell), [server.robot for server in servers if server.robot])
+    if any(service.role is Role.HLI for service in services):
+        client_roles(description)
+        line_encryption(description)
 
 
 def audit_file_of(wanted: str, cell: str) -> tuple[Path | None, str]:

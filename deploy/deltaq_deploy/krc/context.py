@@ -9,8 +9,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 
-from deltaq_deploy.krc.header import header, xml_comment
-from deltaq_deploy.krc.plan import PRECISION, TIMEOUT_CYCLES, KrcPlan, written
+from deltaq_deploy.krc.plan import PRECISION, TIMEOUT_CYCLES, KrcPlan, header, written, xml_comment
 from deltaq_protocol.rsi.axes import ARM_AXES, EXTERNAL_AXES
 
 # The objects of an RSI context, their links and parameters, from the plan.

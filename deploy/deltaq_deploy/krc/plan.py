@@ -8,7 +8,7 @@ from enum import StrEnum
 from pathlib import PurePath
 
 from deltaq_cell.check_description import KRC_CYCLES_S
-from deltaq_cell.description import CellDescription, RsiDescription
+from deltaq_cell.description import CellDescription, RobotDescription, RsiDescription
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.rsi import AxisMap
 from deltaq_protocol.rsi.axes import ARM_AXES, KrcGeneration
@@ -185,20 +185,7 @@ def plan_for(
     axes = AxisMap.of(description.joint_names, description.units, driver.krc)
     if missing := [axis for axis in ARM_AXES if axis not in axes.axes]:
         raise KrcFilesError(f"robot {robot} has no {', '.join(missing)}: a KRC's robot has A1 to A6")
-    scale = axes.commanded
-    home, lower, upper = description.home * scale, description.lower * scale, description.upper * scale
-    corrections = []
-    for axis, unit, at, low, high in zip(axes.axes, axes.units, home, lower, upper, strict=True):
-        least, most = (low - at, high - at) if start is Start.HOME else (low - high, high - low)
-        bound = limit_deg if unit == "rad" else limit_mm
-        if bound is not None:
-            least, most = max(least, -bound), min(most, bound)
-        number = int(axis[1]) + (0 if axis in ARM_AXES else len(ARM_AXES))
-        name = "deg" if unit == "rad" else "mm"
-        corrections.append(
-            Correction(axis, number, name, *(round(float(value), 4) for value in (at, least, most)))
-        )
-    corrections.sort(key=lambda one: one.number)
+    corrections = _corrections(description, axes, start, limit_deg, limit_mm)
     digital = _known(digital or {}, {**driver.inputs, **driver.outputs}, robot)
     after = corrections[-1].channel + 1
     inputs = _signals(driver.inputs, 1, digital)
@@ -214,7 +201,7 @@ def plan_for(
         driver.port,
         PurePath(driver.ethernet_xml).name,
         start,
-        tuple(corrections),
+        corrections,
         inputs,
         outputs,
         stop,
@@ -225,6 +212,26 @@ def plan_for(
             "a shorter name"
         )
     return plan
+
+
+def _corrections(
+    robot: RobotDescription, axes: AxisMap, start: Start, limit_deg: float | None, limit_mm: float | None
+) -> tuple[Correction, ...]:
+    """Home and the range of corrections of each axis, in the order of a KRC."""
+    scale = axes.commanded
+    home, lower, upper = robot.home * scale, robot.lower * scale, robot.upper * scale
+    corrections = []
+    for axis, unit, at, low, high in zip(axes.axes, axes.units, home, lower, upper, strict=True):
+        least, most = (low - at, high - at) if start is Start.HOME else (low - high, high - low)
+        bound = limit_deg if unit == "rad" else limit_mm
+        if bound is not None:
+            least, most = max(least, -bound), min(most, bound)
+        number = int(axis[1]) + (0 if axis in ARM_AXES else len(ARM_AXES))
+        name = "deg" if unit == "rad" else "mm"
+        corrections.append(
+            Correction(axis, number, name, *(round(float(value), 4) for value in (at, least, most)))
+        )
+    return tuple(sorted(corrections, key=lambda one: one.number))
 
 
 def _signals(tags: Mapping[str, str], first: int, digital: Mapping[str, int]) -> tuple[Signal, ...]:
@@ -272,3 +279,34 @@ def _address(address: str, robot: str) -> str:
             "PC's own with --address"
         )
     return address
+
+
+_RSI = {
+    2: "RSI 2.x with Ethernet RSI XML on a KR C2",
+    3: "RSI 3.x on a KR C4",
+    4: "RSI 4.x and later on a KR C4 or KR C5",
+}
+
+
+def written_for(plan: KrcPlan) -> str:
+    """The controller that the files are for."""
+    return _RSI[plan.rsi]
+
+
+def xml_comment(lines: list[str]) -> str:
+    """The lines as a comment in XML, which has no place for two hyphens in a row."""
+    return "<!-- " + "\n     ".join(lines).replace("--", "- -") + " -->\n"
+
+
+def header(plan: KrcPlan, what: str) -> list[str]:
+    """Lines of a comment at the head of a file; `what` names the file's purpose."""
+    start = {
+        Start.HOME: "RSI starts at the cell's home, to which the program moves first.",
+        Start.HERE: "RSI starts where the robot stands; the software limit switches bound the motion.",
+    }[plan.start]
+    return [
+        f"{what} for the robot {plan.robot} of the cell {plan.cell}, written by `deltaq krc files`.",
+        f"For {written_for(plan)}, {plan.cycle_ms} ms. The telegrams are checked against",
+        "the emulator; nothing here has been tried on a real controller of that version: read it, and start in T1.",
+        start,
+    ]

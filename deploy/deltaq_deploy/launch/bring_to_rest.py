@@ -1,15 +1,21 @@
-"""Bringing the robots of a running cell to rest."""
+"""Stops of a running cell: bring its robots to rest, also over the JSON lines when no zenoh session can be had."""
 
 from __future__ import annotations
 
+import json
+import os
+import socket
+import ssl
 import time
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 
 from deltaq_cell.description import CellDescription
 from deltaq_deploy.launch.cell_connection import Where, connect
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
-from deltaq_protocol.messages import Phase, RobotStatus
+from deltaq_protocol.messages import Done, Error, Phase, RobotStatus
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli.line_encryption import CERTIFICATE_FILE, LineEncryptionError
 
 TIMEOUT_S = 5.0
 POLL_S = 0.05
@@ -53,3 +59,86 @@ def rests(before: RobotStatus | None, now: RobotStatus) -> bool:
     if now.phase is not Phase.HELD or before is None or before.cycle == now.cycle:
         return False
     return all(abs(q - q_before) < STILL for q, q_before in zip(now.q, before.q, strict=True))
+
+
+_DEADLINE_S = 2.0
+_STOP = b'{"type":"stop"}\n'
+
+
+def stop_over_a_line(cell: CellDescription, environment: Mapping[str, str] = os.environ) -> Done:
+    """Bring every robot of a running cell to rest.
+
+    Args:
+        cell: the cell.
+        environment: may name the certificate of the HLI, see `line_encryption`. Then only the answer of who has it
+            counts. Whoever listens there is told to stop in any case, in the clear: an HLI obeys that where lines are
+            encrypted, too, and before it agrees on an encryption with anybody.
+
+    Raises:
+        RefusedError: `unreachable`, if not all have shown in time that they are held; they were told all the same.
+        LineEncryptionError: the certificate cannot be read, or is not that of who listens there.
+        ServiceUnreachableError: nobody listens there, or no answer came in time.
+    """
+    certificate = environment.get(CERTIFICATE_FILE)
+    if not certificate:
+        return _stopped(cell)
+    with _told_ahead(cell):
+        try:
+            return _stopped(cell, certificate)
+        except ServiceUnreachableError as error:
+            text = "a stop was sent in the clear, too, which an HLI obeys, but nobody has proved that he is the one"
+            raise ServiceUnreachableError(f"{error}; {text}") from error
+
+
+@contextmanager
+def _told_ahead(cell: CellDescription) -> Iterator[None]:
+    """Within the block a stop is under way in the clear; who answers it is not known."""
+    with ExitStack() as opened:
+        with suppress(OSError):
+            line = opened.enter_context(_connected(cell))
+            line.sendall(_STOP)
+        yield
+
+
+def _stopped(cell: CellDescription, certificate: str | None = None) -> Done:
+    """Stop in the clear, or over an encrypted line of who has that certificate."""
+    place = f"{cell.tcp_address}:{cell.tcp_port}"
+    try:
+        with _connected(cell) as connection:
+            if certificate is None:
+                return _asked(connection, place)
+            with _encryption(certificate).wrap_socket(connection) as line:
+                return _asked(line, place)
+    except ssl.SSLCertVerificationError as error:
+        text = f"who listens on {place} was told to stop, but has not the certificate {certificate}"
+        raise LineEncryptionError(text) from error
+    except (OSError, ValueError) as error:  # who speaks TLS may say so, which is no answer in the clear
+        raise ServiceUnreachableError(f"no stop over {place}: {error}") from error
+
+
+def _connected(cell: CellDescription) -> socket.socket:
+    return socket.create_connection((cell.tcp_address, cell.tcp_port), _DEADLINE_S)
+
+
+def _encryption(certificate: str) -> ssl.SSLContext:
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname = False  # the certificate itself is known
+    context.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN  # whoever signed it
+    try:
+        context.load_verify_locations(certificate)
+    except OSError as error:
+        text = f"no certificate in {certificate}: {error}; {CERTIFICATE_FILE} names it"
+        raise LineEncryptionError(text) from error
+    return context
+
+
+def _asked(line: socket.socket, place: str) -> Done:
+    line.sendall(_STOP)
+    with line.makefile("rb") as answers:
+        for answer in map(json.loads, answers):
+            if answer["type"] == "done":
+                return Done.model_validate(answer)
+            if answer["type"] == "error" and answer["request"] == "stop":
+                error = Error.model_validate(answer)
+                raise RefusedError(ReasonCode(error.code), error.message, error.hint)
+    raise ServiceUnreachableError(f"no answer to a stop from {place}")

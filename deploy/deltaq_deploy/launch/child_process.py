@@ -1,7 +1,8 @@
-"""One child process of the launcher, in a session of its own, with its output read line by line."""
+"""Child processes of the launcher, in sessions of their own, with their output read line by line."""
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import fcntl
 import os
@@ -9,9 +10,10 @@ import signal
 import subprocess
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from deltaq_protocol.log import message_of
 
@@ -188,3 +190,33 @@ class Child:
         self._reader.join(timeout=1.0)
         self.exited.set()
         self._on_event(Exited(self.name, status))
+
+
+async def while_parent_lives(work: Coroutine[Any, Any, None]) -> None:
+    """Do this work, and cancel it at SIGTERM, or if the process that started this one ends.
+
+    A process descriptor shows that it has ended: unlike the parent-death signal, this does not depend on
+    the thread that started this process. The signal is the loop's to handle: a handler that raises would now and
+    then do so inside a callback of asyncio's, and what waits for that callback would wait for ever.
+    """
+    parent = os.pidfd_open(os.getppid())
+    loop, task = asyncio.get_running_loop(), asyncio.ensure_future(work)
+    ended = False
+
+    def end() -> None:
+        nonlocal ended
+        ended = True
+        loop.remove_reader(parent)
+        task.cancel()
+
+    loop.add_reader(parent, end)
+    loop.add_signal_handler(signal.SIGTERM, end)
+    try:
+        await task
+    except asyncio.CancelledError:
+        if not ended:
+            raise
+    finally:
+        loop.remove_signal_handler(signal.SIGTERM)
+        loop.remove_reader(parent)
+        os.close(parent)

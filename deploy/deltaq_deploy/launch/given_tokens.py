@@ -12,7 +12,7 @@ import secrets
 from collections.abc import Mapping
 from pathlib import Path
 
-from deltaq_deploy.launch.errors import LaunchError
+from deltaq_deploy.launch.program import LaunchError
 from deltaq_protocol.given_token import CLIENT_TOKEN, OPERATOR_TOKEN, given_token
 from deltaq_protocol.role_prover import environment_has_role
 from deltaq_protocol.secret_file import faults_of_secret

@@ -20,8 +20,8 @@ from types import FrameType, TracebackType
 from typing import Any, Self
 
 from deltaq_deploy.launch.child_process import Child, Exited, Lifeline, Ready
-from deltaq_deploy.launch.errors import LaunchError, LaunchInterruptedError
 from deltaq_deploy.launch.given_tokens import ConsoleToken, console_needs_token, controllers_token
+from deltaq_deploy.launch.program import LaunchError, LaunchInterruptedError
 from deltaq_deploy.launch.services import BRAKING_ROLES, OPTIONAL_ROLES, ListeningSocket, Role, Service
 from deltaq_deploy.launch.warden import Warden
 from deltaq_protocol.errors import DeltaqError

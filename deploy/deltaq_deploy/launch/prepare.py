@@ -21,7 +21,7 @@ from deltaq_cell.description import CellDescription
 from deltaq_cell.machine_code import TELLS_EACH
 from deltaq_controllers.camera import FOLLOWS
 from deltaq_deploy.launch.child_process import start_with_lines
-from deltaq_deploy.launch.errors import LaunchError
+from deltaq_deploy.launch.program import LaunchError
 from deltaq_deploy.launch.services import Role, Service
 from deltaq_deploy.launch.warden import Warden
 

@@ -7,9 +7,16 @@ import sys
 from collections.abc import Callable
 from typing import NoReturn
 
-from deltaq_deploy.launch.errors import LaunchError, LaunchInterruptedError
 from deltaq_deploy.launch.exit_status import BAD, DONE, INTERRUPTED, UNREACHABLE, USAGE
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
+
+
+class LaunchError(DeltaqError):
+    """A service could not be started, or ended before it served."""
+
+
+class LaunchInterruptedError(DeltaqError):
+    """Somebody asked to stop while services were still starting."""
 
 
 def exit_status(error: DeltaqError) -> int:

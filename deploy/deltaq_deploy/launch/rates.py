@@ -1,10 +1,19 @@
-"""How regularly messages come: pure arithmetic on arrival times."""
+"""How regularly messages come: arithmetic on arrival times, and an observer of a running cell."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from deltaq_deploy.launch.cell_connection import Listener
+from deltaq_protocol import topics
+from deltaq_protocol.codec import unpack
+from deltaq_protocol.messages import RobotState
 
 
 @dataclass(frozen=True)
@@ -44,3 +53,78 @@ def rate_of(times_s: list[float]) -> Regularity:
 def percentile(ordered: list[float], share: float) -> float:
     """The value that a fraction `share` of all values do not exceed, by nearest rank; `ordered` is not empty."""
     return ordered[max(0, math.ceil(share * len(ordered)) - 1)]
+
+
+_BATCH = 16
+"""States that are decoded together: so few that it takes a millisecond, and delays no stamp by more."""
+
+
+@dataclass
+class Track:
+    """Observations of one robot.
+
+    Attributes:
+        times_s: arrival of each state on this process's clock [s].
+        lower: least position of each joint seen [rad or m].
+        upper: greatest position of each joint seen [rad or m].
+        missed: cycles whose state did not arrive.
+    """
+
+    times_s: list[float] = field(default_factory=list)
+    lower: tuple[float, ...] = ()
+    upper: tuple[float, ...] = ()
+    missed: int = 0
+    _last_cycle: int | None = None
+
+    def take(self, state: RobotState, time_s: float) -> None:
+        """Add one state that arrived at `time_s`."""
+        self.times_s.append(time_s)
+        self.lower = tuple(map(min, self.lower or state.q, state.q))
+        self.upper = tuple(map(max, self.upper or state.q, state.q))
+        if self._last_cycle is not None:
+            self.missed += max(0, state.cycle - self._last_cycle - 1)
+        self._last_cycle = state.cycle
+
+    @property
+    def rate(self) -> Regularity:
+        """Regularity of the states."""
+        return rate_of(self.times_s)
+
+    @property
+    def travel(self) -> tuple[float, ...]:
+        """Range that each joint moved through [rad or m]."""
+        return tuple(upper - lower for lower, upper in zip(self.lower, self.upper, strict=True))
+
+
+class Observer:
+    """Watches the states of robots from its construction to `close`.
+
+    States are stamped as they come and decoded later, some at a time: one who only watches should not take the
+    processor's time from those that are watched.
+    """
+
+    def __init__(self, listener: Listener, robots: Sequence[str]) -> None:
+        self.tracks = {robot: Track() for robot in robots}
+        self._waiting: list[tuple[float, bytes]] = []
+        self._lock = threading.Lock()  # zenoh calls back from its own threads
+        self._subscribers = [listener.subscribe(topics.STATE, self._take, robot) for robot in robots]
+
+    def close(self) -> None:
+        """Stop watching; `tracks` is complete then."""
+        for subscriber in self._subscribers:
+            subscriber.undeclare()
+        with self._lock:
+            self._decode()
+
+    def _take(self, sample: Any) -> None:
+        now = time.monotonic()
+        with self._lock:
+            self._waiting.append((now, sample.payload.to_bytes()))
+            if len(self._waiting) >= _BATCH:
+                self._decode()
+
+    def _decode(self) -> None:
+        waiting, self._waiting = self._waiting, []
+        for time_s, payload in waiting:
+            state = unpack(RobotState, payload)
+            self.tracks[state.robot].take(state, time_s)

@@ -14,6 +14,7 @@ from typing import Literal
 from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.real_time import SchedulingPriority
 from deltaq_services.guarded_realm import realm_of
 
 
@@ -288,3 +289,35 @@ def _emulator(robot: str, driver: RsiDescription, arguments: tuple[str, ...], ne
         probe=None if panel is None else Probe.PANEL,
         endpoint=None if panel is None else str(Endpoint("udp", driver.address, panel)),
     )
+
+
+@dataclass(frozen=True)
+class Resources:
+    """Limits of one service.
+
+    Attributes:
+        memory_mb: of its processes and of what they keep in `/tmp` [MiB]; there is no swap beyond it.
+        tasks: processes and threads.
+        cores: of processor time; what runs at real-time priority is not slowed down by it.
+        real_time: greatest real-time priority that it may ask for; 0 for none.
+    """
+
+    memory_mb: int
+    tasks: int
+    cores: float
+    real_time: int = 0
+
+
+RESOURCES: dict[Role, Resources] = {
+    Role.ROBOT_SERVER: Resources(
+        memory_mb=384, tasks=64, cores=1.0, real_time=SchedulingPriority.ROBOT_SERVER
+    ),
+    Role.EMULATOR: Resources(memory_mb=384, tasks=16, cores=1.0, real_time=SchedulingPriority.EMULATOR),
+    Role.SIM: Resources(memory_mb=1024, tasks=64, cores=1.0, real_time=SchedulingPriority.SIM),
+    Role.HLI: Resources(memory_mb=1024, tasks=384, cores=1.0, real_time=SchedulingPriority.HLI),
+    Role.CONSOLE: Resources(memory_mb=2048, tasks=256, cores=2.0),
+    Role.LEADER: Resources(memory_mb=768, tasks=64, cores=1.0, real_time=SchedulingPriority.CONTROLLER),
+    Role.FOLLOWER: Resources(memory_mb=1024, tasks=64, cores=1.0, real_time=SchedulingPriority.CONTROLLER),
+    Role.METRICS: Resources(memory_mb=384, tasks=64, cores=0.5),
+    Role.RECORDER: Resources(memory_mb=768, tasks=64, cores=0.5),
+}

@@ -10,8 +10,8 @@ from xml.parsers import expat
 import msgpack
 import numpy as np
 
+from deltaq_experiments.bench.rsi_reply import standing_telegrams
 from deltaq_experiments.bench.table import BenchRow
-from deltaq_experiments.bench.telegrams import standing_telegrams
 from deltaq_protocol.codec import pack, unpack
 from deltaq_protocol.guarded import Admission, Request, ServerState, Supervision
 from deltaq_protocol.messages import Increment, Message, RobotState, Verdict

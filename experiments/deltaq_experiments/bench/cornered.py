@@ -25,7 +25,7 @@ from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.guarded import GateMemory, Request
 from deltaq_protocol.messages import Message, Outcome, Phase, Verdict
 from deltaq_services.outputs import ToTopic
-from deltaq_testing.adversary import Adversary
+from deltaq_testing.attack import Adversary
 from deltaq_testing.virtual_cell.cell import VirtualCell
 
 CELL = "lab"

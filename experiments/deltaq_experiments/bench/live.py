@@ -16,14 +16,13 @@ from deltaq_cell.description import CellDescription
 from deltaq_cell.load import load_cell
 from deltaq_deploy.launch.bring_to_rest import bring_to_rest
 from deltaq_deploy.launch.child_process import Exited
-from deltaq_deploy.launch.errors import LaunchError, LaunchInterruptedError
 from deltaq_deploy.launch.launcher import Interrupted, Launcher, describe_exit
+from deltaq_deploy.launch.program import LaunchError, LaunchInterruptedError
 from deltaq_deploy.launch.services import Role, Service, cell_services, demo_controllers
-from deltaq_experiments.bench.hop_reference import HopTimes, hop_reference
+from deltaq_experiments.bench.hop_reference import HopTimes, hop_reference, machine_time, processor_seconds
 from deltaq_experiments.bench.journeys import RobotStamps, by_robot
 from deltaq_experiments.bench.live_figures import LiveRow, RobotFigures, bounded_rows, robot_figures
-from deltaq_experiments.bench.processor_time import machine_time, processor_seconds
-from deltaq_experiments.last_lines import LastLines
+from deltaq_experiments.live import LastLines
 from deltaq_protocol.stamps import FOLDER, WrittenStamps, read_stamps
 
 STAMPING = (Role.ROBOT_SERVER, Role.SIM, Role.HLI, Role.LEADER, Role.FOLLOWER)

@@ -16,24 +16,44 @@ from socket import AF_INET, SOCK_DGRAM, SOCK_STREAM, socket
 
 import numpy as np
 
-from deltaq_cell.description import CellDescription
+from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_cell.identity import content_identity
 from deltaq_deploy.launch.launcher import Launcher
 from deltaq_deploy.launch.services import cell_services, one
 from deltaq_experiments.bench.asker import frame
 from deltaq_experiments.bench.native import program
 from deltaq_experiments.bench.table import BenchRow
-from deltaq_experiments.bench.telegrams import standing_telegrams
 from deltaq_protocol import topics
 from deltaq_protocol.codec import pack, unpack
 from deltaq_protocol.envelope import Envelopes
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.guarded import Admission, ServerState, Supervision
 from deltaq_protocol.real_time import SchedulingPriority, ask_for_real_time
+from deltaq_protocol.rsi import AxisMap, KrcCodec, KrcReport, load_ethernet_xml
 from deltaq_protocol.sayings import SIM, robot_server
 from deltaq_protocol.session import declare_publisher, open_session
 from deltaq_services.guarded_realm import guarded_links
 from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
+
+_FIRST_IPOC = 4_200_000
+_POSE = (0.0,) * 6
+
+
+def standing_telegrams(loaded: LoadedCell, robot: str, count: int) -> list[bytes]:
+    """What the KRC of a robot sends in so many cycles while the robot stands at home."""
+    description = loaded.model.description.robots[robot]
+    driver, xml = description.driver, loaded.ethernet_xml(robot)
+    assert isinstance(driver, RsiDescription)  # asked only of a robot on RSI
+    assert xml is not None  # and so it has such a file
+    axes = AxisMap.of(description.joint_names, description.units, driver.krc)
+    codec = KrcCodec(load_ethernet_xml(xml), axes, driver.inputs, driver.outputs)
+    q, inputs = description.home, dict.fromkeys(description.inputs, False)
+    step = driver.ipoc_step or round(loaded.model.description.cycle_s * 1000)
+    return [
+        codec.encode(KrcReport(_FIRST_IPOC + cycle * step, q, q, _POSE, _POSE, 0, inputs))
+        for cycle in range(count)
+    ]
+
 
 CELL, ROBOT = "lab-4ms", "gr"
 """Six axes on a gantry of three, at the shorter cycle."""

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deltaq_experiments.run_report.robot_run import RobotRun
-from deltaq_experiments.run_report.run import RecordedRun, RunEventKind
+from deltaq_experiments.run_report.run import RecordedRun, RobotRun, RunEventKind
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Phase
 from deltaq_testing.report_page import COLOURS, inlined, outline, settings

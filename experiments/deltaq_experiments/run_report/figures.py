@@ -5,8 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Any
 
-from deltaq_experiments.run_report.robot_run import RobotRun
-from deltaq_experiments.run_report.run import RecordedRun
+from deltaq_experiments.run_report.run import RecordedRun, RobotRun
 
 LIVE = "live"
 """Source of a recording whose times are those of a clock."""

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from html import escape
+from pathlib import Path
 
 from deltaq_experiments.run_report import drawing
 from deltaq_experiments.run_report.figures import begun_at
-from deltaq_experiments.run_report.robot_run import ReasonGroup, RobotRun
-from deltaq_experiments.run_report.run import RecordedRun, RunEventKind
+from deltaq_experiments.run_report.run import ReasonGroup, RecordedRun, RobotRun, RunEventKind
+from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import Outcome, Phase
 from deltaq_protocol.reasons import EXPLANATIONS
 from deltaq_testing.report_page import Cells, document, table
@@ -236,3 +238,38 @@ def _amount(value: float, unit: str) -> str:
 
 def _span(lower: float, upper: float, unit: str) -> str:
     return f"{_amount(lower, unit)} to {_amount(upper, unit)}"
+
+
+class ReportError(DeltaqError):
+    """A report that cannot be written."""
+
+
+def must_be_free(file: Path) -> None:
+    """Check the place of a report before a long recording is read for it.
+
+    Raises:
+        ReportError: there is a file already, or no folder for it.
+    """
+    if file.exists():
+        raise ReportError(f"{file} exists already; it is not overwritten, name another file with --output")
+    if not file.parent.is_dir():
+        raise ReportError(f"{file} cannot be written: there is no folder {file.parent}")
+
+
+def write(file: Path, text: str) -> None:
+    """Write a report.
+
+    Raises:
+        ReportError: there is a file already, or it cannot be written.
+    """
+    must_be_free(file)
+    begun = False
+    try:
+        with file.open("x", encoding="utf-8") as output:
+            begun = True
+            output.write(text)
+    except OSError as error:
+        if begun:
+            with contextlib.suppress(OSError):  # half a report would pass for a whole one
+                file.unlink()
+        raise ReportError(f"{file} cannot be written: {error.strerror}") from error

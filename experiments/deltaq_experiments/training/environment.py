@@ -3,25 +3,174 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
 
+from deltaq_controllers.camera.error import view_angle
+from deltaq_controllers.camera.scene import Scene
+from deltaq_controllers.interface import LastIncrement, RobotView, View
 from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_controllers.limits import IncrementLimits
-from deltaq_experiments.scene import link_cycles, scene_of
-from deltaq_experiments.starts import start_with_error
-from deltaq_experiments.training.episode import Episode, Observation
-from deltaq_experiments.training.observation import robot_space
-from deltaq_experiments.training.task import CameraTask
+from deltaq_experiments.scene import VIEW_DISTANCE_M, link_cycles, scene_of, start_with_error
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
-from deltaq_protocol.messages import Verdict
+from deltaq_protocol.messages import Phase, Verdict
 from deltaq_testing.virtual_cell.cell import VirtualCell
 from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
+
+RobotObservation = dict[str, Array]
+"""`q`, `q_cmd` and `dq` of a robot, (n,) each [rad or m]."""
+
+BEYOND_CYCLES = 3.0
+"""How far beyond a limit a robot may come while it lags behind its setpoints, in cycles at full speed."""
+ROUNDED_UP = 1.01
+"""Telegrams round setpoints, so that the largest increment may seem a little larger."""
+
+
+class RobotObserver:
+    """Follows one robot.
+
+    Args:
+        limits: of its increments.
+    """
+
+    def __init__(self, limits: IncrementLimits) -> None:
+        self._last = LastIncrement(limits.max_ddq)
+
+    def observe(self, view: RobotView) -> RobotObservation:
+        """What is seen of it now."""
+        return {"q": view.q, "q_cmd": view.q_cmd, "dq": self._last.update(view)}
+
+
+def robot_space(limits: IncrementLimits) -> spaces.Dict[Array]:
+    """What observations of a robot are in."""
+    beyond, largest = BEYOND_CYCLES * limits.max_dq, ROUNDED_UP * limits.max_dq
+    position = spaces.Box(limits.lower - beyond, limits.upper + beyond, dtype=np.float64)
+    increment = spaces.Box(-largest, largest, dtype=np.float64)
+    return spaces.Dict({"q": position, "q_cmd": position, "dq": increment})
+
+
+class ViewErrors(NamedTuple):
+    """What a view lacks.
+
+    Attributes:
+        angle_rad: between the camera's axis and the direction of the focus [rad].
+        distance_m: view distance less the desired one [m].
+    """
+
+    angle_rad: float
+    distance_m: float
+
+    @property
+    def reward(self) -> float:
+        """Zero for a perfect view, else negative: a radian counts as much as a metre."""
+        return -self.angle_rad - abs(self.distance_m)
+
+
+class CameraTask:
+    """Measures views as the experiments do.
+
+    Args:
+        scene: who watches whom.
+
+    Attributes:
+        desired_distance_m: desired view distance [m].
+    """
+
+    desired_distance_m = VIEW_DISTANCE_M
+
+    def __init__(self, scene: Scene) -> None:
+        self._robot, self._leader = scene.robot, scene.leader
+
+    def errors(self, q: Array, q_leader: Array) -> ViewErrors:
+        """The errors at measured configurations (n,) of both robots [rad or m]."""
+        T_world_camera = self._robot.camera_pose(q)
+        lens, focus = T_world_camera[:3, 3], self._leader.forward(q_leader)[:3, 3]
+        distance_m = float(np.linalg.norm(focus - lens))
+        return ViewErrors(
+            view_angle(T_world_camera[:3, :3], lens, focus), distance_m - self.desired_distance_m
+        )
+
+
+Observation = dict[str, RobotObservation]
+"""What is seen of the policy's `own` robot and of the `leader`."""
+
+
+class Episode:
+    """A run of the whole stack, one cycle a step.
+
+    Args:
+        stack: a new cell.
+        leader: moves the leader.
+        delay_cycles: how much older what is seen of the leader is.
+
+    Attributes:
+        stack: the cell.
+        cycles: so far.
+        observation: what the policy sees now.
+    """
+
+    def __init__(self, stack: VirtualCell, leader: ScriptedLeader, delay_cycles: int) -> None:
+        self.stack, self.cycles = stack, 0
+        self._leader, self._scene = leader, scene_of(stack.cell)
+        own, other = (
+            IncrementLimits.of(robot, self._scene.cycle_s)
+            for robot in (self._scene.robot, self._scene.leader)
+        )
+        self._limits = own
+        self._own, self._other = RobotObserver(own), RobotObserver(other)
+        self._last = LastIncrement(self._limits.max_ddq)
+        self._task = CameraTask(self._scene)
+        self._seen: deque[RobotView] = deque(maxlen=delay_cycles + 1)
+        stack.run_until_ready()
+        stack.acquire(self._scene.robot_name, "policy")
+        stack.acquire(self._scene.leader_name, "scripted-leader")
+        stack.cycle()  # a controller answers states that come after its lease
+        self.observation = self._look()
+
+    @property
+    def errors(self) -> ViewErrors:
+        """Of the view that the robots have now, not of the one that is seen late."""
+        q, q_leader = (self._view(name).q for name in (self._scene.robot_name, self._scene.leader_name))
+        return self._task.errors(q, q_leader)
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether only a reset makes the follower move again."""
+        return self.stack.states[self._scene.robot_name].phase in (Phase.OFFLINE, Phase.HELD)
+
+    def step(self, share: Array) -> tuple[Array, Verdict | None]:
+        """Ask the gate for a share (n,) of the largest increment, and go on to the next cycle.
+
+        Returns:
+            The increment (n,) that was asked for [rad or m], and the gate's verdict on it.
+        """
+        robot, leader = self._scene.robot_name, self._scene.leader_name
+        own, other = self._view(robot), self._view(leader)
+        dq_last = self._last.update(own)
+        dq = self._limits.admissible(share * self._limits.max_dq, own.q_cmd, dq_last)
+        self.stack.ask(leader, self._leader.increment(View(other, {robot: own})))
+        verdict = self.stack.ask(robot, dq)
+        self.stack.cycle()
+        self.cycles += 1
+        self.observation = self._look()
+        return dq, verdict
+
+    def _view(self, robot: str) -> RobotView:
+        return RobotView.from_state(self.stack.states[robot])
+
+    def _look(self) -> Observation:
+        self._seen.append(self._view(self._scene.leader_name))
+        return {
+            "own": self._own.observe(self._view(self._scene.robot_name)),
+            "leader": self._other.observe(self._seen[0]),
+        }
+
 
 LARGEST_START_ERROR_DEG = 150.0
 _SEEDS = 2**31

@@ -11,10 +11,8 @@ from pathlib import Path
 from deltaq_deploy.launch.program import run_program
 from deltaq_experiments.figures import draw
 from deltaq_experiments.report import ExperimentOutcome
-from studies.claims.claim import Claim, ClaimOutcome, JsonReport
-from studies.claims.kept import KeptReports
-from studies.claims.page import ENOUGH, page
-from studies.claims.sheets import SHEETS, Sheet
+from studies.claims.claim import Claim, ClaimOutcome, JsonReport, KeptReports
+from studies.claims.page import ENOUGH, SHEETS, Sheet, page
 
 PICTURES = Path("docs/explanation/pictures")
 

@@ -11,7 +11,7 @@ from typing import Self
 
 from deltaq_protocol.endpoint import Address
 from deltaq_protocol.errors import DeltaqError
-from deltaq_testing.faults.actions import Bombard
+from deltaq_testing.faults.catalogue import Bombard
 from deltaq_testing.virtual_cell.arm import HERE
 
 OVERSIZE = 5000

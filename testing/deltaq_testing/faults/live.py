@@ -15,14 +15,14 @@ from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_testing.faults.actions import (
+from deltaq_testing.faults.catalogue import (
     BeginInThePast,
+    Fault,
     Freeze,
     Impair,
     Kill,
     PressStop,
 )
-from deltaq_testing.faults.catalogue import Fault
 from deltaq_testing.faults.live_cell import MovingCell, Needs, moving_cell, rows_of
 from deltaq_testing.faults.live_inject import Injector
 from deltaq_testing.faults.mover import CRUISE_RAD_S, SWING_RAD

@@ -22,10 +22,13 @@ from deltaq_deploy.launch.services import Role
 from deltaq_protocol import topics
 from deltaq_protocol.messages import PROTOCOL_VERSION
 from deltaq_protocol.session import open_session
-from deltaq_testing.faults.actions import (
+from deltaq_testing.faults.bombard import Bomber
+from deltaq_testing.faults.catalogue import (
+    CHANGE_S,
     AskPanel,
     BeginInThePast,
     Bombard,
+    Fault,
     FillDisk,
     Freeze,
     Impair,
@@ -35,8 +38,6 @@ from deltaq_testing.faults.actions import (
     SetWallClock,
     StepClock,
 )
-from deltaq_testing.faults.bombard import Bomber
-from deltaq_testing.faults.catalogue import CHANGE_S, Fault
 from deltaq_testing.faults.clocks import Clocks, SettableClocks
 from deltaq_testing.faults.live_cell import MovingCell
 from deltaq_testing.faults.virtual import FaultRunError

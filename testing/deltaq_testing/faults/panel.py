@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import json
 import socket
+import time
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel, ConfigDict
+
 from deltaq_cell.description import CellDescription, RsiDescription
+from deltaq_deploy.launch.cell_connection import connect
 from deltaq_emulator.catalogue import TEXTS, Code
 from deltaq_emulator.states import KrcState
 from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
-from deltaq_testing.faults.catalogue import UnknownFaultError
+from deltaq_protocol.messages import Phase
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_testing.faults.catalogue import CATALOGUE, AskPanel, Fault, UnknownFaultError
+from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 
 _TIMEOUT_S = 5.0
 """Longer than anything is awaited."""
@@ -117,3 +125,90 @@ def checked(answer: bytes) -> dict[str, Any]:
     if not status["ok"]:
         raise PanelError(f"the emulated controller refused: {status['error']}")
     return status
+
+
+def load_rsi_cell(cell_name: str | Path, robot: str | None = None) -> LoadedCell:
+    """Read a cell.
+
+    Args:
+        cell_name: its name or file.
+        robot: one that it has to have.
+
+    Raises:
+        UnknownFaultError: if a robot has no KRC that could be emulated, or there is no such robot.
+    """
+    loaded = LoadedCell.load(cell_name)
+    description = loaded.model.description
+    for name, one in description.robots.items():
+        if not isinstance(one.driver, RsiDescription):
+            raise UnknownFaultError(
+                f"robots.{name}.driver is {one.driver.kind!r}; faults are injected in cells whose robots are "
+                "all driven over RSI: use such a cell, e.g. --cell lab"
+            )
+    must_have(description, robot)
+    return loaded
+
+
+def must_have(cell: CellDescription, robot: str | None) -> None:
+    """Refuse a robot that a cell does not have; None is none in particular.
+
+    Raises:
+        UnknownFaultError: there is no such robot.
+    """
+    if robot is not None and robot not in cell.robots:
+        raise UnknownFaultError(f"no robot {robot!r} in cell {cell.cell}; it has {', '.join(cell.robots)}")
+
+
+class Injected(BaseModel):
+    """A fault that was injected, and the robot at its end.
+
+    Attributes:
+        phase, reason: as the HLI shows them while the fault stands.
+        krc_state, krc_message: of the emulated controller.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    fault: str
+    robot: str
+    phase: Phase
+    reason: ReasonCode | None
+    krc_state: str
+    krc_message: str | None
+
+
+def inject(fault: Fault, cell: CellDescription, robot: str, for_s: float) -> Injected:
+    """Inject a fault, wait, look, and lift it.
+
+    Args:
+        fault: one that is injectable.
+        cell: description of the running cell.
+        robot: whose controller suffers it.
+        for_s: how long it stands before it is looked at and lifted.
+
+    Raises:
+        UnknownFaultError: if the fault is none of the emulated controller's.
+        ServiceUnreachableError: if the cell is not up.
+        PanelError: if the emulated controller refuses.
+    """
+    if not isinstance(fault.action, AskPanel):
+        possible = ", ".join(row.name for row in CATALOGUE if row.injectable)
+        raise UnknownFaultError(
+            f"{fault.name} cannot be injected into a running cell; allowed are {possible}; `deltaq fault table "
+            f"{fault.name}` shows what it does"
+        )
+    with PanelClient(cell, robot) as panel, connect(cell, "deltaq fault") as running:
+        panel.ask(fault.action.request)
+        try:
+            time.sleep(for_s)
+            status = running.status().robots[robot]
+        finally:
+            seen = panel.ask(fault.lift or {"op": "status"})
+    return Injected(
+        fault=fault.name,
+        robot=robot,
+        phase=status.phase,
+        reason=status.reason,
+        krc_state=seen["state"],
+        krc_message=seen["message"],
+    )

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from deltaq_testing.faults.catalogue import CATALOGUE, Fault, UnknownFaultError
 from deltaq_testing.faults.mover import CRUISE_RAD_S
+from deltaq_testing.faults.panel import load_rsi_cell
 from deltaq_testing.faults.report import FaultEffect, FaultTable
-from deltaq_testing.faults.rsi_cell import load_rsi_cell
 from deltaq_testing.faults.virtual import run_fault
 
 COLUMNS = (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import AbstractAsyncContextManager
 from enum import StrEnum
 from typing import Any, Protocol, Self
@@ -16,10 +16,9 @@ from deltaq_protocol.endpoint import Endpoint, InvalidEndpointError
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.inbox import ClientInbox
 from deltaq_protocol.session import open_session
-from deltaq_testing.impairment.pump import Pump
 from deltaq_testing.impairment.stream import MAX_WAITING_BYTES, FaultyStream, StreamFaults
 from deltaq_testing.impairment.tcp import TcpRelay
-from deltaq_testing.impairment.udp import UdpRelay
+from deltaq_testing.impairment.udp import Pump, UdpRelay
 
 # Faults of the lines in a byte stream: each line is lost, duplicated or overtaken as a whole.
 
@@ -249,3 +248,47 @@ def relay(
             return MessageRelay(listen, to, seed)
         case TrafficUnit.DATAGRAMS:
             return UdpRelay(listen, to, seed)
+
+
+async def impair_for_a_while(
+    listen: Endpoint,
+    to: Endpoint,
+    unit: TrafficUnit,
+    faults: StreamFaults | LinkFaults,
+    say: Callable[[str], None],
+    *,
+    after_s: float = 0.0,
+    for_s: float | None = None,
+    duration_s: float | None = None,
+    seed: int = 0,
+) -> None:
+    """Carry a link through a relay, with faults for a while.
+
+    Args:
+        listen: address to which one of the two parties connects or sends.
+        to: address at which the other one listens.
+        unit: the unit that faults affect.
+        faults: of the link.
+        say: called with each event.
+        after_s: time until the faults begin.
+        for_s: duration of the faults; None for as long as the relay works.
+        duration_s: duration of the relay; None for ever.
+        seed: of the random numbers.
+
+    Raises:
+        InvalidEndpointError: if the transport of an endpoint is not that of the unit.
+        ServiceUnreachableError: if `listen` cannot be listened on.
+    """
+    async with relay(listen, to, unit, seed) as running:
+        say(f"carries {unit} from {listen} to {to}; Ctrl-C ends it")
+        try:
+            async with asyncio.timeout(duration_s):
+                await asyncio.sleep(after_s)
+                running.impair(faults)
+                say(f"impaired: {faults.model_dump_json(exclude_defaults=True)}")
+                await asyncio.sleep(for_s if for_s is not None else float("inf"))
+                running.impair(unit.faults())
+                say("whole again")
+                await asyncio.Event().wait()
+        except TimeoutError:
+            return

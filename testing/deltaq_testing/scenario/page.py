@@ -1,10 +1,12 @@
-"""Outcomes as one self-contained HTML page: no address outside it, no script, every text escaped."""
+"""Reports of scenarios: HTML pages, and JUnit XML."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
 from html import escape
 from itertools import pairwise
+from xml.etree import ElementTree as ET
 
 import numpy as np
 
@@ -87,3 +89,44 @@ def _spans(rows: Array) -> list[tuple[int, int]]:
     """First and last row of each run of true ones."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], rows.astype(int), [0]))))
     return [(int(first), int(end) - 1) for first, end in list(pairwise(edges))[::2]]
+
+
+_NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd]")
+"""Characters that XML 1.0 cannot have."""
+
+
+def junit_xml(outcomes: Iterable[ScenarioOutcome]) -> str:
+    """The document."""
+    suites = ET.Element("testsuites", name="deltaq fault run")
+    for outcome in outcomes:
+        failures = sum(not check.finding for check in outcome.checks)
+        suite = ET.SubElement(
+            suites,
+            "testsuite",
+            name=_clean(outcome.name),
+            tests=str(len(outcome.checks)),
+            failures=str(failures),
+            errors="0",
+            time=f"{outcome.wall_s:.3f}",
+        )
+        properties = ET.SubElement(suite, "properties")
+        cell = outcome.cell
+        for name, value in (
+            ("cell", cell.model.description.cell),
+            ("robot", cell.robot),
+            ("seed", str(cell.seed)),
+        ):
+            ET.SubElement(properties, "property", name=name, value=_clean(value))
+        for check in outcome.checks:
+            case = ET.SubElement(suite, "testcase", classname=_clean(outcome.name), name=check.what, time="0")
+            if not check.finding:
+                ET.SubElement(case, "failure", message=_clean(check.finding.told)).text = _clean(
+                    cell.account()
+                )
+        ET.SubElement(suite, "system-out").text = _clean(cell.account())
+    ET.indent(suites)
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(suites, encoding="unicode") + "\n"
+
+
+def _clean(text: str) -> str:
+    return _NO_XML.sub("?", text)

@@ -32,8 +32,7 @@ from deltaq_testing.virtual_cell.clients import (
     VirtualClient,
 )
 from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
-from deltaq_testing.virtual_cell.parts import Life, Link, Process, VirtualProcess
-from deltaq_testing.virtual_cell.wires import MessageWire
+from deltaq_testing.virtual_cell.parts import Life, Link, MessageWire, Process, VirtualProcess
 
 # Which wire carries which message of a virtual cell; where none is plugged in, it arrives as it is sent.
 

@@ -18,8 +18,7 @@ from deltaq_protocol.messages import (
     Verdict,
 )
 from deltaq_services.outputs import Sender
-from deltaq_testing.virtual_cell.parts import VirtualProcess
-from deltaq_testing.virtual_cell.wires import MessageWire
+from deltaq_testing.virtual_cell.parts import MessageWire, VirtualProcess
 
 Say = Callable[[Message | InvalidMessageError], None]
 """Sends to the HLI a message, or what is none."""

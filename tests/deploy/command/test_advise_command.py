@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_deploy.command.app import app
-from deltaq_deploy.launch.private_cell import free_ports
+from deltaq_testing.private_cell import free_ports
 
 pytestmark = pytest.mark.long
 

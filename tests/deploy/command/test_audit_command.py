@@ -14,9 +14,9 @@ from commands import PROGRAM, deltaq
 
 from deltaq_cell.load import load_cell
 from deltaq_deploy.command.up import audit_file_of
-from deltaq_deploy.launch.private_cell import write_private_cell
 from deltaq_protocol.audit import AuditEntry, AuditKind, AuditOutcome
 from deltaq_services.hli.audit import as_line
+from deltaq_testing.private_cell import write_private_cell
 
 
 def entry(number: int, client: str, robot: str | None = None) -> bytes:

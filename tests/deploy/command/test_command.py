@@ -9,10 +9,9 @@ from pathlib import Path
 import pytest
 from commands import deltaq
 
-from deltaq_deploy.launch.errors import LaunchError, LaunchInterruptedError
-from deltaq_deploy.launch.private_cell import write_private_cell
-from deltaq_deploy.launch.program import exit_status
+from deltaq_deploy.launch.program import LaunchError, LaunchInterruptedError, exit_status
 from deltaq_protocol.errors import ProtocolError, RefusedError, ServiceUnreachableError
+from deltaq_testing.private_cell import write_private_cell
 
 
 @pytest.fixture(scope="module")

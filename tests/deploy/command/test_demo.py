@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from commands import PROGRAM
 
-from deltaq_deploy.launch.private_cell import write_private_cell
+from deltaq_testing.private_cell import write_private_cell
 
 pytestmark = pytest.mark.live
 

@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 
 from deltaq_cell.load import load_cell
 from deltaq_deploy.command.app import app
-from deltaq_deploy.launch.private_cell import free_ports, write_private_cell
 from deltaq_protocol.errors import ServiceUnreachableError
+from deltaq_testing.private_cell import free_ports, write_private_cell
 
 PATIENCE_S = 60.0
 

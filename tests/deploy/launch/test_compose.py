@@ -16,6 +16,7 @@ from deltaq_deploy.launch.compose import (
     FILE,
     REAL_TIME_FILE,
     TOKENS_FILE,
+    USER,
     compose_document,
     compose_text,
     main,
@@ -24,9 +25,7 @@ from deltaq_deploy.launch.compose import (
     tokens_document,
     tokens_text,
 )
-from deltaq_deploy.launch.container import USER
-from deltaq_deploy.launch.resources import RESOURCES
-from deltaq_deploy.launch.services import cell_services
+from deltaq_deploy.launch.services import RESOURCES, cell_services
 from deltaq_protocol.certified.names import IDENTITY
 from deltaq_services.guarded_realm import GUARDED_FOLDER
 

@@ -21,8 +21,8 @@ from deltaq_cell.check_description import LEAST_GIVEN_PORT
 from deltaq_cell.load import load_cell
 from deltaq_deploy.command.console import json_log
 from deltaq_deploy.launch.child_process import NICENESS, Exited, Ready
-from deltaq_deploy.launch.errors import LaunchError, LaunchInterruptedError
 from deltaq_deploy.launch.launcher import Interrupted, Launcher
+from deltaq_deploy.launch.program import LaunchError, LaunchInterruptedError
 from deltaq_deploy.launch.services import ListeningSocket, Role, Service, cell_services
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.log import json_line

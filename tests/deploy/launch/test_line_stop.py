@@ -15,7 +15,7 @@ from served import Server
 from small_cell import small_cell
 
 from deltaq_cell.description import CellDescription
-from deltaq_deploy.launch.line_stop import stop_over_a_line
+from deltaq_deploy.launch.bring_to_rest import stop_over_a_line
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_services.hli.line_encryption import CERTIFICATE_FILE, KEY_FILE, LineEncryptionError
 

@@ -18,8 +18,8 @@ from deltaq_cell.load import load_cell
 from deltaq_cell.machine_code import TELLS_EACH, compiling_shown
 from deltaq_controllers.modes import __main__ as modes_compiler
 from deltaq_deploy.launch import prepare
-from deltaq_deploy.launch.errors import LaunchError
 from deltaq_deploy.launch.prepare import Needed, needed_by
+from deltaq_deploy.launch.program import LaunchError
 from deltaq_deploy.launch.services import Service, cell_services, console_service, demo_controllers, select
 
 ONE_LAW = """

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from deltaq_deploy.launch import private_cell
-from deltaq_deploy.launch.private_cell import NoFreePortsError
+from deltaq_testing import private_cell
+from deltaq_testing.private_cell import NoFreePortsError
 
 
 @pytest.fixture

@@ -6,8 +6,7 @@ import os
 
 import pytest
 
-from deltaq_deploy.launch.findings import Rating
-from deltaq_deploy.launch.real_time import ASKED, examine_real_time, judge_priority, judge_throttling
+from deltaq_deploy.launch.doctor import ASKED, Rating, examine_real_time, judge_priority, judge_throttling
 
 
 def test_a_refusal_names_policy_priority_limit_and_remedy() -> None:

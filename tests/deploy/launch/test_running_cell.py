@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from commands import PROGRAM, deltaq
 
-from deltaq_deploy.launch.private_cell import write_private_cell
+from deltaq_testing.private_cell import write_private_cell
 
 pytestmark = pytest.mark.live
 
@@ -73,7 +73,8 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningCell]:
         wait_for_phases(running, {"fr": "ready", "gr": "ready"})
         yield running
     finally:
-        finish(running)
+        if running.launcher.poll() is None:
+            finish(running)
 
 
 def phases(cell: RunningCell) -> dict[str, str]:
@@ -233,3 +234,22 @@ def test_the_wrong_cell_at_an_address_is_named(cell: RunningCell, tmp_path: Path
     done = deltaq("status", "--cell", str(other))
     assert done.returncode == 2
     assert "serves cell lab, not other" in done.stderr
+
+
+def test_a_service_that_dies_is_named_and_can_be_started_again_and_nothing_is_left_in_the_end(
+    cell: RunningCell,
+) -> None:
+    """The last of this cell."""
+    children = cell.children()
+    assert len(children) == len(SERVICES)
+    (sim,) = [pid for pid in children if b"deltaq_services.sim" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    os.kill(sim, signal.SIGKILL)
+    assert "sim was ended by SIGKILL; the others go on" in cell.read_until("SIGKILL")
+    again = start(cell.file, "--only", "sim")
+    try:
+        again.read_until("cell lab is up: sim")
+        assert cell.deltaq("health", "sim").returncode == 0
+    finally:
+        assert finish(again) == 0
+    assert finish(cell) == 1  # a service died: that is told in the exit status too
+    assert not any(Path(f"/proc/{pid}").exists() for pid in children)

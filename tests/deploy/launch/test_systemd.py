@@ -10,10 +10,8 @@ from pathlib import Path
 import pytest
 
 from deltaq_cell.load import load_cell
-from deltaq_deploy.launch.resources import RESOURCES
-from deltaq_deploy.launch.services import UnknownServiceError, cell_services, console_service
-from deltaq_deploy.launch.systemd import FOLDER, PYTHON, main, units
-from deltaq_deploy.launch.unit import STOPS_WITHIN_S, TARGET, unit
+from deltaq_deploy.launch.services import RESOURCES, UnknownServiceError, cell_services, console_service
+from deltaq_deploy.launch.systemd import FOLDER, PYTHON, STOPS_WITHIN_S, TARGET, main, unit, units
 
 Unit = dict[str, list[str]]
 

@@ -27,7 +27,7 @@ from deltaq_services.sim.gate import Decision
 from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.tracker import Tracker
 from deltaq_services.sim.tube import Windows
-from deltaq_testing.adversary import Adversary
+from deltaq_testing.attack import Adversary
 from deltaq_testing.oracle import ClearanceOracle
 from deltaq_testing.virtual_cell.cell import VirtualCell
 

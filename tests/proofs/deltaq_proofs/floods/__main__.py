@@ -16,11 +16,11 @@ from pathlib import Path
 from statistics import median
 
 from deltaq_cell.load import load_cell
-from deltaq_deploy.launch.private_cell import write_private_cell
 from deltaq_deploy.launch.program import run_program
 from deltaq_proofs.floods.attacks import ATTACKS
 from deltaq_proofs.floods.measure import FloodRow, measure
-from deltaq_testing.faults.rsi_cell import must_have
+from deltaq_testing.faults.panel import must_have
+from deltaq_testing.private_cell import write_private_cell
 
 _HEADING = (
     f"{'flood':30} {'steps/s':>9} {'states/s':>15} {'kept':>7} {'braked':>9} {'stop ms':>13} {'by line':>13}"

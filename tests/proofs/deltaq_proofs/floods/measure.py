@@ -17,9 +17,9 @@ from typing import Any
 
 from deltaq_cell.description import CellDescription
 from deltaq_cell.load import load_cell
+from deltaq_deploy.launch.bring_to_rest import stop_over_a_line
 from deltaq_deploy.launch.cell_connection import connect, listen
 from deltaq_deploy.launch.launcher import Launcher
-from deltaq_deploy.launch.line_stop import stop_over_a_line
 from deltaq_deploy.launch.services import Role, Service, cell_services
 from deltaq_proofs.floods.attacks import ATTACKS, Attack
 from deltaq_protocol import topics

@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 
-from deltaq_proofs.model_checker import soundness
 from deltaq_proofs.model_checker.gate_side import Act
 from deltaq_proofs.model_checker.one_joint import FASTEST, IPOC_STEP, ROBOT, STEP, one_joint_cell
 from deltaq_proofs.model_checker.rsi_line import (
@@ -25,7 +24,7 @@ from deltaq_proofs.model_checker.rsi_line import (
     new_program,
 )
 from deltaq_proofs.model_checker.safety_monitor import Property, Telegram, Violation
-from deltaq_proofs.model_checker.system import System, at_hand
+from deltaq_proofs.model_checker.system import System, at_hand, judge_course
 from deltaq_proofs.model_checker.system_state import KEPT, SentState, SystemState, Turn
 from deltaq_protocol.endpoint import Address
 from deltaq_services.robot_server.measurement import Measurement
@@ -238,7 +237,7 @@ class AttackedSystem(System):
         monitor = system_state.monitor.telegram(telegram)
         used = system_state.used.server_took(before, after)
         if not begins:
-            soundness.judge(system_state.gate.robots[ROBOT].tracker, float(q_cmd[0]), monitor.course)
+            judge_course(system_state.gate.robots[ROBOT].tracker, float(q_cmd[0]), monitor.course)
         pending = line.pending
         if before is not None and before.q_reset is not None and after.q_reset is None:
             if abs(after.q_cmd[0] - line.krc.stands) > _TOLD and not pending:

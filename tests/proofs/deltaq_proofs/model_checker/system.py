@@ -9,16 +9,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import accumulate
 
 import numpy as np
 
-from deltaq_proofs.model_checker import soundness
 from deltaq_proofs.model_checker.gate_side import Act, GateSide
 from deltaq_proofs.model_checker.one_joint import ROBOT, STEP
 from deltaq_proofs.model_checker.safety_monitor import Property, SafetyMonitor, Telegram, Violation
 from deltaq_proofs.model_checker.system_state import KEPT, SentState, SystemState, Turn
 from deltaq_proofs.model_checker.used_requests import UsedRequests
-from deltaq_protocol.guarded import Admission, ServerState
+from deltaq_protocol.brake import brake_increment
+from deltaq_protocol.guarded import Admission, ServerState, TrackerMemory
 from deltaq_protocol.messages import Phase
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.measurement import Measurement
@@ -145,7 +146,7 @@ class System(GateSide):
         monitor = system_state.monitor.telegram(telegram)
         used = system_state.used.server_took(before, server.state)
         if not begins:
-            soundness.judge(system_state.gate.robots[ROBOT].tracker, _sent(server.state), monitor.course)
+            judge_course(system_state.gate.robots[ROBOT].tracker, _sent(server.state), monitor.course)
         return replace(
             system_state,
             server=server.snapshot(),
@@ -206,3 +207,37 @@ def _which(index: int | None, what: str, under_way: tuple[object, ...]) -> str:
     if index is None:
         return f"no {what}"
     return f"the newest {what}" if index == len(under_way) - 1 else f"an older {what}"
+
+
+def judge_course(gate: TrackerMemory, q_cmd: float, course: tuple[float, ...]) -> None:
+    """Hold the setpoint and the course after it against what the gate believes.
+
+    Args:
+        gate: what the gate remembers of the robot.
+        q_cmd: the setpoint just sent [m].
+        course: increments still to be sent [m].
+
+    Raises:
+        Violation: if the robot is, or will be, outside the courses that the gate believes possible.
+    """
+    if gate.state is None:
+        return
+    history = [setpoint[0] for setpoint in gate.history]
+    plan, here = gate.state.plan, history[-1]
+    believed = [*history, *_places(here, plan.dq, plan.brake_cycles, plan.step + 1)]
+    for flight in gate.in_flight:
+        believed += _places(flight.follows_q_cmd[0], flight.dq, flight.brake_cycles, 0)
+    for place in accumulate(course, initial=q_cmd):
+        if not min(believed) <= place <= max(believed):
+            raise Violation(
+                Property.KNOWN,
+                f"the robot comes to {place:g}, the gate believes {min(believed):g} to {max(believed):g}",
+            )
+
+
+def _places(q_cmd: float, dq: tuple[float, ...], brake_cycles: int, step: int) -> Iterator[float]:
+    """The setpoints of a brake from one of its steps on."""
+    increments = (
+        float(brake_increment(np.array(dq), brake_cycles, k)[0]) for k in range(step, brake_cycles + 1)
+    )
+    return accumulate(increments, initial=q_cmd)

@@ -15,7 +15,7 @@ from dataclasses import asdict
 
 from deltaq_deploy.launch.program import run_program
 from deltaq_proofs.storm.run import StormReport, run_storm
-from deltaq_testing.faults.rsi_cell import load_rsi_cell
+from deltaq_testing.faults.panel import load_rsi_cell
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -12,9 +12,8 @@ import time
 from collections import Counter
 from collections.abc import Callable
 
-from deltaq_proofs.storm.forger import ForgedSender, Forger
+from deltaq_proofs.storm.forger import ForgedSender, Forger, Worker
 from deltaq_proofs.storm.witness import DatagramOrigin, Passed
-from deltaq_proofs.storm.worker import Worker
 from deltaq_protocol.endpoint import Address
 
 HERE = "127.0.0.1"

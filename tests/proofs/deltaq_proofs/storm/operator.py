@@ -7,7 +7,7 @@ from collections import Counter
 from deltaq_cell.description import CellDescription
 from deltaq_deploy.launch.cell_connection import connect
 from deltaq_emulator.states import KrcState
-from deltaq_proofs.storm.worker import Worker
+from deltaq_proofs.storm.forger import Worker
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Phase
 from deltaq_testing.faults.panel import PanelClient, PanelError, recovery

@@ -14,12 +14,10 @@ from deltaq_cell.find import resolve_near
 from deltaq_deploy.launch.launcher import Launcher
 from deltaq_deploy.launch.services import Role, Service, cell_services
 from deltaq_emulator.settings import KrcSettings
-from deltaq_proofs.storm.admitted import Admitted
-from deltaq_proofs.storm.forger import Forger
+from deltaq_proofs.storm.forger import Forger, Overheard
 from deltaq_proofs.storm.line import AttackedLine
 from deltaq_proofs.storm.operator import StormOperator
-from deltaq_proofs.storm.overheard import Overheard
-from deltaq_proofs.storm.witness import Passed, UnexplainedError, Witness
+from deltaq_proofs.storm.witness import Admitted, Passed, UnexplainedError, Witness
 from deltaq_protocol.endpoint import Address
 from deltaq_protocol.rsi import AxisMap, KrcCodec, load_ethernet_xml
 from deltaq_services.robot_server.probe_trial import pulse_offsets

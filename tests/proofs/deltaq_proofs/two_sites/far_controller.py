@@ -26,7 +26,7 @@ from deltaq_protocol.messages import (
     Verdict,
 )
 from deltaq_testing.virtual_cell.clients import Say
-from deltaq_testing.virtual_cell.wires import MessageWire
+from deltaq_testing.virtual_cell.parts import MessageWire
 
 _STREAMS = (Increment, RobotState, Verdict)
 

@@ -21,7 +21,7 @@ from deltaq_experiments.trace import Trace
 from deltaq_proofs.two_sites.far_controller import FarController, FarWire, Watcher
 from deltaq_proofs.two_sites.sites import write_cell
 from deltaq_protocol.arrays import Array
-from deltaq_testing.counts import GateCounts
+from deltaq_testing.oracle import GateCounts
 from deltaq_testing.virtual_cell.cell import VirtualCell
 
 

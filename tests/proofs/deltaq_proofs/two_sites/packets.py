@@ -19,7 +19,7 @@ from typing import Self
 from deltaq_emulator.faults import LinkFaults
 from deltaq_protocol.blocking import Background
 from deltaq_protocol.errors import DeltaqError
-from deltaq_testing.impairment.pump import Pump
+from deltaq_testing.impairment.udp import Pump
 
 DEVICE = "wan"
 """Name of the device in both namespaces."""
