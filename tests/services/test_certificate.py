@@ -115,7 +115,7 @@ def test_travel_bounds_the_motion_of_every_corner_within_the_box(cell, proximity
 
 def test_the_order_of_the_queries_changes_no_bit(cell, proximity):
     random = np.random.default_rng(5)
-    groups = [group for name in proximity.names for group in proximity.alone[name]]
+    groups = [group for groups in proximity.alone.values() for group in groups]
     for name, robot in cell.robots.items():
         proximity.place(name, robot.home, np.full(robot.n, 0.01))
     first = {id(group): proximity.least(group) for group in groups}
