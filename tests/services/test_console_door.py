@@ -20,13 +20,13 @@ TOKEN = "0123456789abcdef-desk"
 
 
 async def answered(host, head):
-    """The first line of the answer to a request with these lines."""
+    """The head of the answer to a request with these lines."""
     address, port = host.split(":")
     reader, writer = await asyncio.open_connection(address, int(port))
     writer.write(("\r\n".join(head) + "\r\nConnection: close\r\n\r\n").encode())
-    line = await reader.readline()
+    answer = await reader.readuntil(b"\r\n\r\n")
     writer.close()
-    return line.decode()
+    return answer.decode()
 
 
 @pytest.mark.by_day(2)
@@ -50,6 +50,23 @@ async def test_a_web_site_that_calls_itself_by_this_address_is_turned_away(tmp_p
             status = await answered(host, [f"GET {path} HTTP/1.1", "Host: rebound.example"])
             assert " 400 " in status
         assert " 200 " in await answered(host, ["GET /scene.json HTTP/1.1", f"Host: {host}"])
+
+
+async def test_the_page_comes_under_a_policy_and_nothing_else_of_this_computer_comes_with_it(
+    tmp_path, caplog
+):
+    async with served(tmp_path) as (_, host):
+        for path in ("/", "/index.js", "/vendor/three.js"):
+            answer = await answered(host, [f"GET {path} HTTP/1.1", f"Host: {host}"])
+            assert " 200 " in answer
+            (policy,) = [line for line in answer.splitlines() if line.startswith("content-security-policy: ")]
+            assert "default-src 'none'; script-src 'self'" in policy
+            assert "frame-ancestors 'none'" in policy
+        for path in ("/../web.py", "/%2e%2e/web.py", "/vendor/", "/nothing.js"):
+            assert " 404 " in await answered(host, [f"GET {path} HTTP/1.1", f"Host: {host}"])
+        with pytest.raises(websockets.InvalidStatus):
+            await websockets.connect(f"ws://{host}/elsewhere")
+    assert not [record for record in caplog.records if record.exc_info]
 
 
 @pytest.mark.long
