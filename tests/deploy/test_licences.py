@@ -21,7 +21,6 @@ LOOKED_UP = {
     "cmeel-qhull": "says nothing of itself; Qhull's own licence is like BSD's",
     "pyglet": "says nothing of itself; its LICENSE is that of BSD with three clauses",
     "hidapi": "may be used, at the user's choice, under the BSD licence, the GPL or one of its own",
-    "docutils": "in the public domain but for some files, of which one, an Emacs mode, is under the GPL",
 }
 
 
