@@ -107,6 +107,7 @@ def server_of(app: Starlette) -> uvicorn.Server:
             log_config=None,  # this process logs all that it says in one way
             log_level="warning",
             access_log=False,
+            http="h11",  # what uvicorn brings; another parser that is installed would not be the one that is tested
             ws_max_size=_LONGEST_BYTES,
             ws_per_message_deflate=False,  # messages are small, and soon old
             ws_ping_interval=2.0,
