@@ -238,12 +238,13 @@ async def test_the_dashboard_asks_for_samples_that_the_exporter_has() -> None:
         rude.send(type="increment", robot="fr", seq=1, cycle=1, dq=[0.0] * 6)
         await rude.receive("verdict")
         await peer.turn()  # the time between two states takes two
-        # what this peer never does: it brakes and holds nobody, and its gate judges nothing and has no nearest pair
+        # what this peer never does: it brakes and holds nobody, says nothing twice, and its gate judges nothing
         silent = {
             "deltaq_braked_cycles_total",
             "deltaq_held_total",
             "deltaq_admissions_not_taken_total",
             "deltaq_gate_reasons_total",
+            "deltaq_guarded_refused_total",
             "deltaq_clearance_metres",
         }
         await reader.until(lambda read: asked - {name for name, _ in read} <= silent)
