@@ -3,6 +3,7 @@
 import asyncio
 import socket
 from contextlib import asynccontextmanager, suppress
+from tempfile import TemporaryDirectory
 
 import pytest
 import zenoh
@@ -47,6 +48,24 @@ async def test_a_relay_carries_megabytes_both_ways_and_the_end_of_the_connection
         writer.write(sent)
         writer.write_eof()
         assert await reader.read(-1) == sent
+
+
+@pytest.mark.parametrize("unit", [TrafficUnit.BYTES, TrafficUnit.MESSAGES])
+async def test_a_relay_stands_between_unix_sockets(unit):
+    """Two zenoh sessions, as HLI and SIM are; what comes over the relay is as it was."""
+    with TemporaryDirectory(dir="/tmp") as folder:
+        to, listen = (Endpoint("unixsock-stream", f"{folder}/{name}.sock", 0) for name in ("sim", "relay"))
+        assert Endpoint.parse(str(listen)) == listen
+        listener = open_session(listen=[str(to)])
+        came = listener.declare_subscriber("**", zenoh.handlers.RingChannel(8))
+        async with asyncio.timeout(300), relay(listen, to, unit, seed=1):
+            speaker = await asyncio.to_thread(open_session, connect=[str(listen)], must_connect=True)
+            while (sample := came.try_recv()) is None:
+                speaker.put("deltaq-guarded/lab/command", b"said")
+                await asyncio.sleep(0.01)
+            speaker.close()
+        assert (str(sample.key_expr), sample.payload.to_bytes()) == ("deltaq-guarded/lab/command", b"said")
+        listener.close()
 
 
 async def test_bytes_of_a_wire_that_stands_still_arrive_when_it_does_no_more():
