@@ -28,7 +28,7 @@ from deltaq_cell.description.bodies import (
 )
 from deltaq_cell.description.cell import MOST_ROBOTS, CellDescription, ContactDescription, GateDescription
 from deltaq_cell.description.robot import (
-    Driver,
+    DriverDescription,
     JointDescription,
     KinematicDriver,
     RobotDescription,
@@ -50,7 +50,7 @@ __all__ = [
     "ContactDescription",
     "CylinderShape",
     "DescriptionModel",
-    "Driver",
+    "DriverDescription",
     "EndpointText",
     "GateDescription",
     "GuardedEndpointText",

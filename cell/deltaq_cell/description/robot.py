@@ -172,7 +172,7 @@ class KinematicDriver(DescriptionModel):
     kind: Literal["kinematic"]
 
 
-Driver = Annotated[RsiDescription | KinematicDriver, Field(discriminator="kind")]
+DriverDescription = Annotated[RsiDescription | KinematicDriver, Field(discriminator="kind")]
 
 
 class ServoLag(DescriptionModel):
@@ -203,7 +203,7 @@ class RobotDescription(DescriptionModel):
     """A model's name (`kr16`), the path of a URDF file, or `package://` and a path within a package."""
     server: GuardedEndpointText = LOCAL
     """Where its Robot Server listens for SIM and HLI: on this machine, or at `tls/HOST:PORT`."""
-    driver: Driver
+    driver: DriverDescription
     joints: Annotated[dict[JointName, JointDescription], Field(min_length=1)]
     """In the joint order of the model."""
     locked_joints: dict[JointName, FiniteFloat] = {}
