@@ -80,6 +80,7 @@ def test_a_choice_taken_back_on_the_way_is_rest_on_the_way_and_can_be_gone_on_wi
 
 
 @pytest.mark.long
+@pytest.mark.nightly
 def test_another_option_chosen_on_the_way_is_gone_to_from_there() -> None:
     run = plain("gr")
     first, second, *_ = drivable(run)
@@ -91,6 +92,7 @@ def test_another_option_chosen_on_the_way_is_gone_to_from_there() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.nightly
 def test_the_mode_is_switched_on_the_way_without_a_jump_and_asked_anew_on_coming_back() -> None:
     other = ModeName.COUPLED
     run = plain("gr")

@@ -116,6 +116,7 @@ def test_a_running_follower_takes_another_distance_and_another_target(url: str) 
     assert summary["robot"] == "fr", "the cell's first with a camera"
 
 
+@pytest.mark.nightly
 def test_a_running_follower_turns_from_a_target_that_is_hidden_to_the_next_and_says_so(url: str) -> None:
     under_the_deck = ViewTarget(focus_m=(-0.55, -2.2, 0.3))
     with connect(url, client="operator") as cell:

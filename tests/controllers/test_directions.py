@@ -138,6 +138,7 @@ def test_a_joint_at_its_limit_is_no_singularity() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.nightly
 def test_where_bodies_come_near_the_robot_stops_by_itself_and_the_gate_refuses_nothing() -> None:
     run = StackDrive("dawm", COUPLED, keeps_clear=True)
     driven = run.drive(5.5, **{"left.y": -0.15})

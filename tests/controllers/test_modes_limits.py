@@ -89,6 +89,7 @@ def test_an_edge_can_be_left_by_the_hand_as_well() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.nightly
 def test_what_the_gate_holds_is_named_and_joint_mode_leads_out() -> None:
     run = StackDrive("gr", COUPLED)
     held = run.drive(8.0, z=-0.3)

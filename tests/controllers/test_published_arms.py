@@ -104,6 +104,7 @@ def test_a_panda_is_advised_and_goes_to_the_option_with_its_hand_in_place() -> N
 
 
 @pytest.mark.long
+@pytest.mark.nightly
 def test_a_ur_is_offered_its_other_branches_and_ways_to_another_pose(tmp_path) -> None:
     file = tmp_path / "arms.yaml"
     file.write_text(published_arms.description())

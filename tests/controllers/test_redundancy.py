@@ -5,17 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from uncompiled import as_python
 
-from deltaq_controllers.redundancy import (
-    DEGREES,
-    Emergency,
-    WeightedGradient,
-    damped_rates,
-    emergency_rates,
-    inverse_weights,
-    limit_gradient,
-    weighted_rates,
-)
+_LAW = as_python("deltaq_controllers.redundancy")
+DEGREES, Emergency, WeightedGradient = _LAW.DEGREES, _LAW.Emergency, _LAW.WeightedGradient
+damped_rates, emergency_rates, weighted_rates = _LAW.damped_rates, _LAW.emergency_rates, _LAW.weighted_rates
+inverse_weights, limit_gradient = _LAW.inverse_weights, _LAW.limit_gradient
 
 LOWER, UPPER = np.deg2rad([-185.0, -155, -130, -350, -130, -350]), np.deg2rad([185.0, 35, 154, 350, 130, 350])
 MIDDLE = 0.5 * (LOWER + UPPER)

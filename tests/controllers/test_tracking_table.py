@@ -23,7 +23,7 @@ def test_the_leader_at_a_quarter_metre_per_second_is_kept_within_a_degree_and_tw
     assert distance.max() < 0.0124 + 0.003
 
 
-@pytest.mark.by_day(1)
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", [1, 2])
 def test_so_it_is_with_drives_that_lag_within_the_same_latency(seed: int) -> None:
     # 24 ms old knowledge, one cycle of dead time and 24 ms of second order are 60 ms again
@@ -34,6 +34,7 @@ def test_so_it_is_with_drives_that_lag_within_the_same_latency(seed: int) -> Non
     assert distance.max() < 0.021
 
 
+@pytest.mark.nightly
 def test_with_the_focus_held_the_error_is_the_latency_as_in_the_paper() -> None:
     run = track(25.0, variants=BY_NAME["paper"])
     angle, distance = run.after(5.0)

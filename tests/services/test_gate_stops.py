@@ -82,7 +82,7 @@ class Attack:
         return request
 
 
-@pytest.mark.by_day(2)
+@pytest.mark.by_day(1)
 @pytest.mark.parametrize(
     ("joint", "sign"),
     [

@@ -1,7 +1,8 @@
-"""The gate's kernel as the Python that it is written in.
+"""Compiled modules as the Python that they are written in.
 
-To compile one of its parts by itself, as nobody but a test calls it, takes a minute. That the machine code of the whole
-says what its Python does, `tests/cell/test_kernel.py` holds.
+To compile one of their parts by itself, as nobody but a test calls it, takes seconds, in the kernel a minute. That
+the machine code of the whole says what its Python does, `tests/cell/test_kernel.py` holds of the kernel, and
+`tests/controllers/test_compiled.py` of the camera's laws.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import sys
 from functools import cache
 from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
 from pkgutil import iter_modules
 from types import ModuleType
 
@@ -45,3 +47,20 @@ def _taken_away() -> dict[str, ModuleType]:
 def uncompiled(name: str) -> ModuleType:
     """A module of the kernel, and all of the kernel that it calls, as Python; such as `gap`."""
     return _modules()[f"{_KERNEL}.{name}"]
+
+
+def as_python(name: str) -> ModuleType:
+    """A copy of a module, such as `deltaq_controllers.redundancy`, whose own functions are not compiled."""
+    module = import_module(name)
+    assert module.__file__ is not None
+    spec = spec_from_file_location(f"{name}_as_python", module.__file__)
+    assert spec is not None
+    assert spec.loader is not None
+    copy = module_from_spec(spec)
+    is_disabled = numba.config.DISABLE_JIT
+    numba.config.DISABLE_JIT = 1
+    try:
+        spec.loader.exec_module(copy)
+    finally:
+        numba.config.DISABLE_JIT = is_disabled
+    return copy

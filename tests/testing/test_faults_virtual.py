@@ -200,6 +200,7 @@ def test_a_reset_that_the_wire_kept_back_frees_nobody_when_it_comes(lab):
 
 
 @pytest.mark.long
+@pytest.mark.nightly
 def test_one_seed_is_one_run(lab):
     fault = fault_named("krc-telegrams-lost")
     assert run_fault(fault, lab, "fr", seed=5) == run_fault(fault, lab, "fr", seed=5)

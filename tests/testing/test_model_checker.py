@@ -254,6 +254,7 @@ def test_the_explored_robot_has_a_mode_that_remembers_nothing(system):
 
 
 @pytest.mark.long
+@pytest.mark.nightly
 def test_the_command_prints_what_it_found_and_ends_with_1_for_a_counterexample():
     command = [sys.executable, "-m", "deltaq_proofs.model_checker", "--json", "--broken", "LateIsTaken"]
     ended = subprocess.run([*command, "--cycles", "4"], capture_output=True, text=True, check=False)

@@ -175,6 +175,7 @@ def test_an_operator_brings_the_robot_back(folder):
 
 
 @pytest.mark.long
+@pytest.mark.nightly
 def test_the_same_seed_gives_the_same_run(folder):
     def events(seed):
         return json.loads(invoke("run", lossy, "--json", "--seed", seed).stdout)["scenarios"][0]["checks"]

@@ -35,6 +35,7 @@ def test_what_fails_shrinks_to_the_one_fault_that_matters_as_early_and_as_short_
 
 
 @pytest.mark.long
+@pytest.mark.nightly
 def test_two_faults_that_are_needed_together_are_both_kept():
     def fails(faults):
         return {"hli-dead", "controller-hli-lossy"} <= {timed.what.name for timed in faults}
