@@ -3,7 +3,7 @@
 The hand goes to a hole, puts a peg in along the hole's axis and takes it out, goes to a valve and turns it. Hole and
 valve are in free space: the motion is measured, not a contact. All of it passes the whole stack in
 virtual time, steered by operators that are programs (`peg_and_valve_operators`) and make mistakes
-(`peg_and_valve_person`).
+(`peg_and_valve_operators.Person`).
 """
 
 from __future__ import annotations

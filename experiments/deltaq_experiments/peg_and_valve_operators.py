@@ -35,7 +35,19 @@ class Slip(StrEnum):
 
 @dataclass(frozen=True)
 class Person:
-    """One operator.
+    """One operator: slow to react, noisy, and now and then on the wrong axis or key.
+
+    What is assumed, and on whose word:
+
+    - Reaction: 0.25 s, differing by a tenth from one operator to the next (simple visual reactions take 0.2 to 0.3 s:
+      Woods et al., Front. Hum. Neurosci. 9:131, 2015; the spread is an assumption).
+    - Noise: a rate deviates by a tenth of the whole command, in all axes of it, with a memory of 0.15 s. That noise
+      grows with the signal is Harris and Wolpert's (Nature 394:780, 1998), a tenth the order of what van Beers, Haggard
+      and Wolpert find for reaching (J. Neurophysiol. 91:1050, 2004); that it holds for a hand controller, and its
+      memory, are assumptions.
+    - Slips: one action in fifty goes wrong, HEART's figure for a routine, highly practised, rapid task (Williams 1986).
+      Which of the kinds in `Slip` it is, all equally likely, is an assumption, and so is that a continuous motion
+      consists of an action every 0.6 s. A slip is noticed, and ends, one reaction later.
 
     Attributes:
         reaction_s: time from what is seen to what is done.

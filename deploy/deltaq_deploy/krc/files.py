@@ -36,7 +36,12 @@ _INI = """\
 
 
 def program(plan: KrcPlan) -> str:
-    """The text of the `.src`."""
+    """The text of the `.src`: starts RSI and ends it.
+
+    KR C4: after the calls of RSI 3 and later as published programs have them. KR C2: after a program that has run on
+    one (ST_ETHERNET, ST_AXISCORR, ST_NEWLINK, ST_SETPARAM, ST_ON, ST_SKIPSENS, ST_OFF); ST_BREAKMOVE is known from one
+    description alone.
+    """
     body = _of_krc2(plan) if plan.krc == "krc2" else _of_krc4(plan)
     comment = "\n".join(f"; {line}" for line in header(plan, "Starts RSI"))
     return f"&ACCESS RVP\n&REL 1\nDEF {plan.program}( )\n{comment}\n\n{body}\nEND\n"

@@ -77,6 +77,9 @@ MOST_REASONS = 16
 class ZeroEcho:
     """Decides on the answer to each telegram; it has no way to send anything but zeros, digital outputs included.
 
+    An absolute correction of zero means "back to where RSI was started": harmless at the start, and a jump for a robot
+    that has been corrected already. So a robot that stands away from its start is not answered at all.
+
     Attributes:
         refusals: telegrams that got no answer, by reason.
     """

@@ -212,6 +212,9 @@ def _which(index: int | None, what: str, under_way: tuple[object, ...]) -> str:
 def judge_course(gate: TrackerMemory, q_cmd: float, course: tuple[float, ...]) -> None:
     """Hold the setpoint and the course after it against what the gate believes.
 
+    The gate certifies the motion of one robot against every course that it believes the other may take. That is sound
+    only if the true course is among them, or lies within them, whatever was lost on the way.
+
     Args:
         gate: what the gate remembers of the robot.
         q_cmd: the setpoint just sent [m].

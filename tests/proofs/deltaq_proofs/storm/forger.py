@@ -156,7 +156,10 @@ _WAITING = 4096
 
 
 class Overheard:
-    """A context manager; `take` has to be called now and then.
+    """Messages of the guarded realm; a context manager, whose `take` has to be called now and then.
+
+    zenoh drops what a link cannot take at once. So each admission is read twice: as the Robot Server gets it, and from
+    the gate's own log.
 
     Attributes:
         admissions: every one to any robot that was heard, by its sequence.
