@@ -22,7 +22,6 @@ from deltaq_controllers.live import cell_model, control_loop, model_of, robot_mo
 from deltaq_controllers.modes.advisor import AdvisorMode, tracker_of
 from deltaq_controllers.modes.hand_modes import CoupledMode, weighed
 from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.motion import Frame, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.practice import practise
 from deltaq_controllers.modes.teleoperator import MODES, Teleoperator
 from deltaq_controllers.operator_input.interface import OperatorInput
@@ -30,6 +29,7 @@ from deltaq_controllers.statistics import ControlStatistics
 from deltaq_controllers.surroundings.surroundings import RobotSurroundings
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell
+from deltaq_protocol.driving import DrivingMode, Frame, Grip, OperatorCommand
 from deltaq_protocol.errors import DeltaqError, RefusedError
 from deltaq_protocol.leased_robot import LeasedRobot
 from deltaq_protocol.messages import IoReply, Phase
@@ -42,7 +42,7 @@ def teleoperator_for(
     running: Cell,
     robot: str,
     stack: ExitStack,
-    mode: ModeName = ModeName.JOINT,
+    mode: DrivingMode = DrivingMode.JOINT,
     frame: Frame = Frame.WORLD,
     weights: Mapping[str, float] | None = None,
     jerk_time_s: float = 0.0,
@@ -81,10 +81,12 @@ def teleoperator_for(
         mode.hands_may_leave = not len(tracker.base) if hands_may_leave is None else hands_may_leave
         return mode
 
-    modes = {**MODES, ModeName.ADVISOR: advisor_mode}
+    modes = {**MODES, DrivingMode.ADVISOR: advisor_mode}
     cell = cell_model(description)
     if weights is not None:
-        modes[ModeName.COUPLED] = partial(CoupledMode, criteria=(weighed(RobotData(cell, robot), weights),))
+        modes[DrivingMode.COUPLED] = partial(
+            CoupledMode, criteria=(weighed(RobotData(cell, robot), weights),)
+        )
     around = RobotSurroundings(cell, robot)
     return Teleoperator(model, description.cycle_s, mode, frame, modes, around, jerk_time_s)
 
@@ -221,7 +223,7 @@ class Leg:
         parted: by how much the hands that held an object were off from one another at most [m, rad].
     """
 
-    mode: ModeName
+    mode: DrivingMode
     grip: Grip = Grip.FREE
     cycles: int = 0
     limited: Counter[str] = field(default_factory=Counter)
@@ -269,7 +271,7 @@ class DriveLog:
 
     def _note_choice(self, leg: Leg) -> None:
         option = self._teleoperator.command.option
-        if option is None or leg.mode is not ModeName.ADVISOR:
+        if option is None or leg.mode is not DrivingMode.ADVISOR:
             return
         choice = option, self._teleoperator.arrived_at == option
         if leg.chosen and leg.chosen[-1][0] == option:

@@ -22,7 +22,6 @@ from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.inverse.tracking import first_redundant
 from deltaq_controllers.live import model_of
 from deltaq_controllers.modes.advisor import AdvisorMode
-from deltaq_controllers.modes.motion import HAND_AXES, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import MODES, Teleoperator
 from deltaq_experiments.peg_and_valve_operators import (
     HAND_M_S,
@@ -40,6 +39,7 @@ from deltaq_experiments.peg_and_valve_operators import (
     error_to,
 )
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.driving import HAND_AXES, DrivingMode, OperatorCommand
 from deltaq_testing.virtual_cell.cell import VirtualCell
 
 PEG_M = 0.1
@@ -56,14 +56,14 @@ off a valve. An assumption, as wide as a bolt's hole that was drilled for a robo
 OPERATORS: dict[str, Callable[[Teleoperator, float, float], ScriptedOperator]] = {
     "joint": lambda teleoperator, cycle_s, reaction_s: JointOperator(teleoperator.robot, cycle_s, reaction_s),
     "decoupled": lambda teleoperator, cycle_s, reaction_s: HandOperator(
-        teleoperator.robot, cycle_s, reaction_s, ModeName.DECOUPLED
+        teleoperator.robot, cycle_s, reaction_s, DrivingMode.DECOUPLED
     ),
     "self-motion": lambda teleoperator, cycle_s, reaction_s: PostureOperator(
         teleoperator.robot, cycle_s, reaction_s
     ),
     "advisor": AdvisedOperator,
     "coupled": lambda teleoperator, cycle_s, reaction_s: HandOperator(
-        teleoperator.robot, cycle_s, reaction_s, ModeName.COUPLED
+        teleoperator.robot, cycle_s, reaction_s, DrivingMode.COUPLED
     ),
 }
 """`self-motion` and `advisor` are decoupled mode with a change of posture before each piece of work."""
@@ -203,7 +203,7 @@ class _Run:
             )
         self._name, self._mode, self._seed = robot, mode, seed
         self._teleoperator = Teleoperator(
-            self._robot, self._cycle_s, modes={**MODES, ModeName.ADVISOR: self._advisor}
+            self._robot, self._cycle_s, modes={**MODES, DrivingMode.ADVISOR: self._advisor}
         )
         places, person, hand = (np.random.default_rng([seed, stream]) for stream in range(3))
         self._goals = goals(self._robot.forward(self._robot.home), places)
@@ -287,9 +287,9 @@ class _Run:
         return {joint: JOINT_RAD_S if turns else JOINT_M_S for joint, turns in joints}
 
     def _options(self) -> int:
-        if self._teleoperator.mode is not ModeName.ADVISOR:
+        if self._teleoperator.mode is not DrivingMode.ADVISOR:
             return 0
-        mode = self._teleoperator.mode_named(ModeName.ADVISOR)
+        mode = self._teleoperator.mode_named(DrivingMode.ADVISOR)
         assert isinstance(mode, AdvisorMode)
         return len(mode.options)
 

@@ -15,9 +15,9 @@ from deltaq_cell.robot import RobotModel
 from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.hand_modes import travel_gradient
 from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.motion import HAND_AXES, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.driving import HAND_AXES, DrivingMode, OperatorCommand
 
 REACTION_S, REACTION_SPREAD = 0.25, 0.1
 NOISE, NOISE_MEMORY_S = 0.1, 0.15
@@ -247,7 +247,7 @@ class ScriptedOperator(Protocol):
 class HandOperator:
     """Steers the hand by its axes, as in decoupled and coupled mode."""
 
-    def __init__(self, robot: RobotModel, cycle_s: float, reaction_s: float, mode: ModeName) -> None:
+    def __init__(self, robot: RobotModel, cycle_s: float, reaction_s: float, mode: DrivingMode) -> None:
         self._robot, self._mode = robot, mode
         self._see = Late(cycle_s, reaction_s)
 
@@ -279,7 +279,7 @@ class PostureOperator:
 
     def __init__(self, robot: RobotModel, cycle_s: float, reaction_s: float) -> None:
         self._robot, self._cycle_s = robot, cycle_s
-        self._hand = HandOperator(robot, cycle_s, reaction_s, ModeName.DECOUPLED)
+        self._hand = HandOperator(robot, cycle_s, reaction_s, DrivingMode.DECOUPLED)
         self._base = np.flatnonzero(~Hands(robot).arms.any(axis=0))
         self._left: int | None = None
         self._command = OperatorCommand()
@@ -309,7 +309,7 @@ class PostureOperator:
             gains.append(float(descent @ way))
         best = int(np.argmax(np.abs(gains)))
         name = self._robot.joint_names[self._base[best]]
-        return OperatorCommand({name: float(np.sign(gains[best])) * 0.05}, ModeName.SELF_MOTION)
+        return OperatorCommand({name: float(np.sign(gains[best])) * 0.05}, DrivingMode.SELF_MOTION)
 
 
 class AdvisedOperator:
@@ -322,7 +322,7 @@ class AdvisedOperator:
 
     def __init__(self, teleoperator: Teleoperator, cycle_s: float, reaction_s: float) -> None:
         self._teleoperator = teleoperator
-        self._hand = HandOperator(teleoperator.robot, cycle_s, reaction_s, ModeName.DECOUPLED)
+        self._hand = HandOperator(teleoperator.robot, cycle_s, reaction_s, DrivingMode.DECOUPLED)
         self._is_advised = self._is_stuck = False
         self._goal: HandGoal | None = None
         self._times_stuck = 0
@@ -339,8 +339,8 @@ class AdvisedOperator:
             if not self._is_stuck and (command is not None or not goal.name.startswith("reach")):
                 return command
             self._is_advised = True
-        if self._teleoperator.mode is not ModeName.ADVISOR:
-            return OperatorCommand(mode=ModeName.ADVISOR)
+        if self._teleoperator.mode is not DrivingMode.ADVISOR:
+            return OperatorCommand(mode=DrivingMode.ADVISOR)
         option = self._best()
         if option is not None and self._teleoperator.arrived_at != option:
             return OperatorCommand(option=option)
@@ -349,7 +349,7 @@ class AdvisedOperator:
         return self._hand.command(q, goal) if self._is_stuck else None
 
     def _best(self) -> int | None:
-        mode = self._teleoperator.mode_named(ModeName.ADVISOR)
+        mode = self._teleoperator.mode_named(DrivingMode.ADVISOR)
         assert isinstance(mode, AdvisorMode)
         ways = {
             rank: one.limit_share for rank, one in enumerate(mode.options, start=1) if one.path is not None
@@ -382,23 +382,23 @@ class JointOperator:
         seen = self._see(q)
         if self._pause > 0:
             self._pause -= 1
-            return OperatorCommand({}, ModeName.JOINT)
+            return OperatorCommand({}, DrivingMode.JOINT)
         off = self._ways[0] - seen
         if self._joint is not None and abs(off[self._joint]) > self._near[self._joint]:
             return self._driving(self._joint, off)
         if not self._see.stands:
-            return OperatorCommand({}, ModeName.JOINT)
+            return OperatorCommand({}, DrivingMode.JOINT)
         worst = int(np.argmax(np.abs(off) / self._rates))
         if abs(off[worst]) > self._near[worst]:
             self._joint, self._pause = worst, round(CHANGE_S / self._cycle_s)
-            return OperatorCommand({}, ModeName.JOINT)
+            return OperatorCommand({}, DrivingMode.JOINT)
         self._joint = None
         self._ways.pop(0)
-        return OperatorCommand({}, ModeName.JOINT) if self._ways else None
+        return OperatorCommand({}, DrivingMode.JOINT) if self._ways else None
 
     def _driving(self, joint: int, off: Array) -> OperatorCommand:
         rate = float(np.clip(GAIN_S * off[joint], -self._rates[joint], self._rates[joint]))
-        return OperatorCommand({self._robot.joint_names[joint]: rate}, ModeName.JOINT)
+        return OperatorCommand({self._robot.joint_names[joint]: rate}, DrivingMode.JOINT)
 
     def _divided(self, q: Array, goal: HandGoal) -> list[Array]:
         """Configurations along the straight way to a goal."""

@@ -12,9 +12,9 @@ from deltaq_controllers.advisor.session import Answered
 from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.inverse.tracking import ConstraintTracker
 from deltaq_controllers.modes.advisor import AdvisorMode
-from deltaq_controllers.modes.motion import ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.driving import DrivingMode, OperatorCommand
 from deltaq_testing.virtual_cell.cell import VirtualCell
 
 LONGEST_S = 120.0
@@ -58,8 +58,8 @@ def driven_to(
     if option is None:
         return None
     answered = Answered(tracker, Progress("finding paths", 1.0, option.energy, 0, (option,)))
-    modes = {ModeName.ADVISOR: lambda robot: AdvisorMode(robot, cycle_s, answered)}
-    teleoperator = Teleoperator(model, cycle_s, ModeName.ADVISOR, modes=modes)
+    modes = {DrivingMode.ADVISOR: lambda robot: AdvisorMode(robot, cycle_s, answered)}
+    teleoperator = Teleoperator(model, cycle_s, DrivingMode.ADVISOR, modes=modes)
     teleoperator.command = OperatorCommand(option=1)
     places, off_m = tracker.hands(option.start)[:, :3, 3], 0.0
     outcomes: dict[str, int] = {}

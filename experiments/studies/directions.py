@@ -21,12 +21,12 @@ from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.live import model_of
 from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.motion import HAND_AXES, ModeName, OperatorCommand
 from deltaq_controllers.modes.practice import practise
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.surroundings.surroundings import RobotSurroundings
 from deltaq_deploy.launch.program import run_program
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.driving import HAND_AXES, TELEOPERATION, DrivingMode, OperatorCommand
 
 HAND_M_S, HAND_RAD_S = 0.1, 0.2
 """Rates that are commanded."""
@@ -76,7 +76,7 @@ def commands(robot: RobotModel) -> Iterator[dict[str, float]]:
 
 def drive(
     robot: RobotModel,
-    mode: ModeName,
+    mode: DrivingMode,
     rates: dict[str, float],
     duration_s: float,
     cycle_s: float,
@@ -143,7 +143,7 @@ def judged(
 def run(
     cell: str,
     robot: str,
-    mode: ModeName,
+    mode: DrivingMode,
     duration_s: float = 6.0,
     passes: int = 1,
     keeps_clear: bool = False,
@@ -189,7 +189,7 @@ def main() -> int:
     parser.add_argument(
         "--mode",
         nargs="+",
-        choices=[mode.value for mode in ModeName],
+        choices=[mode.value for mode in TELEOPERATION],
         default=["decoupled", "coupled"],
         help="default: both of hands",
     )
@@ -206,7 +206,7 @@ def main() -> int:
         directions, steps = run(
             options.cell,
             options.robot,
-            ModeName(name),
+            DrivingMode(name),
             options.duration_s,
             options.passes,
             options.keeps_clear,

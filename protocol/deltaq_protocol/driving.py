@@ -1,20 +1,23 @@
-"""Lines between the console's server and the process that drives a robot for an operator.
+"""What an operator commands, and the lines between the console's server and the process that drives a robot.
 
-One JSON object a line: requests on the driver's standard input, reports and answers on its standard output. A request
-with an `id` gets one `Answer`. The end of the input is a request too: come to rest, release the robot, end.
+`OperatorCommand` is the one form of a wish, whichever device it comes from. The lines have one JSON object each:
+requests on the driver's standard input, reports and answers on its standard output. A request with an `id` gets one
+`Answer`. The end of the input is a request too: come to rest, release the robot, end.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field, TypeAdapter
+from pydantic import ConfigDict, Field, TypeAdapter
 
 from deltaq_protocol.messages import Joints, JointValue, Message, Real
 
 WISH_S = 0.25
-"""A wish ends after this time unless the next one renews it [s]."""
+"""The motion of a command ends after this time unless the next one renews it [s]."""
 
 MOST_WAY_POINTS = 32
 """Configurations by which a way is told."""
@@ -27,8 +30,15 @@ CriterionName = Annotated[str, Field(min_length=1, max_length=64)]
 TradeOff = tuple[CriterionName, CriterionName]
 
 
+HAND_AXES = ("x", "y", "z", "rx", "ry", "rz")
+"""Axes of a hand: along x, y, z [m/s] and about them [rad/s]."""
+
+
 class DrivingMode(StrEnum):
-    """How a robot is driven: the teleoperator's modes, to a pose of a hand, and following with the camera."""
+    """How a robot is driven: the modes of Hooper & Noakes, Table 1, to a pose of a hand, and following with the camera.
+
+    Keyboard, gamepad, SpaceMouse and script know the first five, `TELEOPERATION`.
+    """
 
     JOINT = "joint"
     DECOUPLED = "decoupled"
@@ -39,10 +49,51 @@ class DrivingMode(StrEnum):
     FOLLOW = "follow"
 
 
-Axes = Literal["world", "tool"]
-"""In which hands are moved."""
-HandGrip = Literal["free", "object"]
-"""Whether hands move by themselves, or hold one object together."""
+TELEOPERATION = tuple(DrivingMode)[:5]
+
+
+class Frame(StrEnum):
+    """The axes in which a hand is moved."""
+
+    WORLD = "world"
+    TOOL = "tool"
+
+
+class Grip(StrEnum):
+    """Whether hands move by themselves, or hold one object together."""
+
+    FREE = "free"
+    OBJECT = "object"
+
+
+@dataclass(frozen=True)
+class OperatorCommand:
+    """The operator's command of this cycle; an empty command is a released stick.
+
+    Attributes:
+        rates: by axis: a joint's name [rad/s or m/s], an axis of all hands (`x`, `rz`), or of one of several
+            hands (`left.x`) [m/s, rad/s]. Hands that hold an object move as it does: `x` is the object's.
+        mode: the mode from now on; None does not change it.
+        frame: the axes from now on; None does not change them.
+        option: rank of the way to go: the advisor's option, or in mode `pose` the only one. None is rest, also on
+            the way.
+        outputs: digital outputs to switch now, by name; the others do not change.
+        grip: whether all hands hold an object from now on; None does not change it, and so lets nothing fall.
+        led: the hand that the master leads, in place of `rates`; empty for all hands or the object between them,
+            None for none.
+    """
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
+
+    rates: Mapping[str, JointValue] = field(default_factory=dict)
+    mode: DrivingMode | None = None
+    frame: Frame | None = None
+    option: Annotated[int, Field(ge=1, le=99)] | None = None
+    outputs: Mapping[str, bool] = field(default_factory=dict)
+    grip: Grip | None = None
+    led: Annotated[str, Field(max_length=64)] | None = None
+
+
 MasterScale = Annotated[float, Field(ge=0.01, le=5.0, allow_inf_nan=False)]
 """Way of a hand for each metre of its master's."""
 
@@ -63,51 +114,25 @@ class Release(Message):
     id: RequestId
 
 
-class ChangeMode(Message):
-    """Drive in this mode and with this grip from now on; the robot first comes to rest in the earlier ones.
+class Command(Message):
+    """An operator's command: its motion is good for `WISH_S`, an empty one is rest.
 
-    Without a `grip` the grip stays unchanged, so that a sender that does not know of grips lets nothing fall.
+    In another mode or grip the robot first comes to rest in the earlier one. With an `id` it is answered, when its
+    outputs are switched.
     """
 
-    type: Literal["mode"] = "mode"
-    id: RequestId
-    mode: DrivingMode
-    frame: Axes = "world"
-    grip: HandGrip | None = None
-
-
-class Wish(Message):
-    """A wish to move, good for `WISH_S`; an empty one is rest.
-
-    `joints` has a speed for each joint, (n,) [rad/s or m/s]. `twist` moves `hand`: three linear [m/s] and three
-    angular [rad/s] in the mode's axes; without a `hand`, all hands or the object between them. `led`, in place of
-    these, has the master lead that hand. `option` is the rank of the way to go: the advisor's option, or in mode
-    `pose` the only one.
-    """
-
-    type: Literal["wish"] = "wish"
-    joints: Annotated[tuple[JointValue, ...], Field(max_length=32)] = ()
-    twist: tuple[JointValue, JointValue, JointValue, JointValue, JointValue, JointValue] | None = None
-    hand: Annotated[str, Field(max_length=64)] = ""
-    led: bool = False
-    option: Annotated[int, Field(ge=1, le=99)] | None = None
+    type: Literal["command"] = "command"
+    id: RequestId | None = None
+    command: OperatorCommand = OperatorCommand()
 
 
 class ChooseMaster(Message):
-    """Choose another robot of the cell as the master. Its tool leads a hand while wishes have `led`; empty for none."""
+    """Choose another robot of the cell as the master. Commands with `led` have its tool lead a hand; empty for none."""
 
     type: Literal["choose_master"] = "choose_master"
     id: RequestId
     master: Annotated[str, Field(max_length=64)] = ""
     scale: MasterScale = 1.0
-
-
-class Switch(Message):
-    """Switch digital outputs, by name."""
-
-    type: Literal["switch"] = "switch"
-    id: RequestId
-    outputs: Annotated[dict[str, bool], Field(max_length=64)]
 
 
 class Advise(Message):
@@ -137,7 +162,7 @@ class Reach(Message):
     quaternion_wxyz: tuple[QuaternionPart, QuaternionPart, QuaternionPart, QuaternionPart]
 
 
-DriverRequest = Take | Release | ChangeMode | Wish | ChooseMaster | Switch | Advise | Reach
+DriverRequest = Take | Release | Command | ChooseMaster | Advise | Reach
 REQUESTS: TypeAdapter[DriverRequest] = TypeAdapter(Annotated[DriverRequest, Field(discriminator="type")])
 
 
@@ -192,14 +217,14 @@ class DriverReport(Message):
     fraction of the wish that mode and gate let through, in tenths; 1 where nothing limits. `longest_cycle_s` is the
     longest time from a state to its verdict since the report before [s]. `search` is there in modes that offer ways.
     `grip` is the one that was chosen; with an object `hands_off` is there once it is held. `master` leads a hand when
-    wishes say so, `master_scale` times its way; it is empty where none was chosen.
+    commands say so, `master_scale` times its way; it is empty where none was chosen.
     """
 
     type: Literal["report"] = "report"
     stage: DriverStage
     mode: DrivingMode
-    frame: Axes = "world"
-    grip: HandGrip = "free"
+    frame: Frame = Frame.WORLD
+    grip: Grip = Grip.FREE
     hands_off: HandsOff | None = None
     master: str = ""
     master_scale: Real = 1.0

@@ -12,8 +12,8 @@ from deltaq_controllers.advisor.session import SynchronousAdvisor
 from deltaq_controllers.criteria.postures import RobotData
 from deltaq_controllers.modes.advisor import Advisor, AdvisorMode, tracker_of
 from deltaq_controllers.modes.hand_modes import CoupledMode, weighed
-from deltaq_controllers.modes.motion import ModeName
 from deltaq_controllers.modes.teleoperator import MODES, Teleoperator
+from deltaq_protocol.driving import DrivingMode
 
 
 @cache
@@ -23,7 +23,7 @@ def cell_of(robot: str) -> CellModel:
 
 def advised(
     robot: RobotModel,
-    mode: ModeName = ModeName.ADVISOR,
+    mode: DrivingMode = DrivingMode.ADVISOR,
     weights: dict[str, float] | None = None,
     advisor: Advisor | None = None,
     hands_may_leave: bool = False,
@@ -35,14 +35,14 @@ def advised(
         made.hands_may_leave = hands_may_leave
         return made
 
-    modes = {**MODES, ModeName.ADVISOR: advisor_mode}
+    modes = {**MODES, DrivingMode.ADVISOR: advisor_mode}
     if weights is not None:
         criteria = (weighed(RobotData(cell_of(robot.name), robot.name), weights),)
-        modes[ModeName.COUPLED] = partial(CoupledMode, criteria=criteria)
+        modes[DrivingMode.COUPLED] = partial(CoupledMode, criteria=criteria)
     return Teleoperator(robot, CYCLE_S, mode, modes=modes)
 
 
 def advisor_of(teleoperator: Teleoperator) -> AdvisorMode:
-    mode = teleoperator.mode_named(ModeName.ADVISOR)
+    mode = teleoperator.mode_named(DrivingMode.ADVISOR)
     assert isinstance(mode, AdvisorMode)
     return mode

@@ -11,11 +11,11 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.motion import Frame, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.surroundings.surroundings import RobotSurroundings
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles
+from deltaq_protocol.driving import DrivingMode, Frame, OperatorCommand
 from deltaq_protocol.messages import Verdict
 from deltaq_testing.virtual_cell.cell import VirtualCell
 
@@ -55,7 +55,7 @@ class PlainDrive:
     """Whatever is asked for is done."""
 
     def __init__(
-        self, robot: str, mode: ModeName, q: Array | None = None, frame: Frame = Frame.WORLD
+        self, robot: str, mode: DrivingMode, q: Array | None = None, frame: Frame = Frame.WORLD
     ) -> None:
         self.robot = model(robot)
         self.teleoperator = Teleoperator(self.robot, CYCLE_S, mode, frame)
@@ -65,7 +65,7 @@ class PlainDrive:
         self.dq_last = np.zeros(self.robot.n)
         self.violations = 0
 
-    def drive(self, duration_s: float, mode: ModeName | None = None, **rates: float) -> Driven:
+    def drive(self, duration_s: float, mode: DrivingMode | None = None, **rates: float) -> Driven:
         """Hold a command for a time; returns what happened meanwhile."""
         self.driven = Driven(self.robot)
         for _ in range(round(duration_s / CYCLE_S)):
@@ -107,7 +107,9 @@ class PlainDrive:
 class StackDrive:
     """The same through emulated controller, Robot Server, gate and HLI, in virtual time."""
 
-    def __init__(self, robot: str, mode: ModeName, q: Array | None = None, keeps_clear: bool = False) -> None:
+    def __init__(
+        self, robot: str, mode: DrivingMode, q: Array | None = None, keeps_clear: bool = False
+    ) -> None:
         cell = "dawm" if robot == "dawm" else "lab"
         self.name = robot
         self.stack = VirtualCell(cell, {} if q is None else {robot: q})
@@ -118,7 +120,7 @@ class StackDrive:
         self.teleoperator = Teleoperator(self.robot, CYCLE_S, mode, surroundings=around)
         self._others: dict[str, Teleoperator] = {}
 
-    def join(self, robot: str, mode: ModeName, **rates: float) -> None:
+    def join(self, robot: str, mode: DrivingMode, **rates: float) -> None:
         """Have another robot of the cell driven too, from now on."""
         if robot not in self._others:
             self.stack.acquire(robot, "other")
@@ -126,7 +128,7 @@ class StackDrive:
         self._others[robot].command = OperatorCommand(rates, mode)
 
     def drive(
-        self, duration_s: float, mode: ModeName | None = None, option: int | None = None, **rates: float
+        self, duration_s: float, mode: DrivingMode | None = None, option: int | None = None, **rates: float
     ) -> Driven:
         """Hold a command for a time; returns what happened meanwhile."""
         driven = Driven(self.robot)

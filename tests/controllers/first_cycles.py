@@ -36,13 +36,13 @@ from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.live import drive
 from deltaq_controllers.modes.advisor import AdvisorMode
-from deltaq_controllers.modes.motion import HAND_AXES, Frame, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.interface import OperatorInput
 from deltaq_controllers.statistics import ControlStatistics
 from deltaq_controllers.teleoperation import DriveLog, SignalLog, teleoperate, teleoperator_for
 from deltaq_deploy.command.drive_display import Display
 from deltaq_protocol.client import Cell
+from deltaq_protocol.driving import HAND_AXES, TELEOPERATION, DrivingMode, Frame, Grip, OperatorCommand
 from deltaq_protocol.errors import RefusedError
 from deltaq_protocol.messages import (
     IoReply,
@@ -58,7 +58,7 @@ from deltaq_protocol.messages import (
 from deltaq_protocol.reasons import ReasonCode
 
 POSE = ToolPose(position=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
-HANDS_MODES = (ModeName.DECOUPLED, ModeName.COUPLED)
+HANDS_MODES = (DrivingMode.DECOUPLED, DrivingMode.COUPLED)
 CYCLES = 20
 """Cycles of each command: enough to speed up, and to settle into another mode."""
 
@@ -218,16 +218,16 @@ def enough(cycles: int) -> bool:
     return cycles >= CYCLES
 
 
-def everything(teleoperator: Teleoperator, modes: Iterable[ModeName]) -> Operator:
+def everything(teleoperator: Teleoperator, modes: Iterable[DrivingMode]) -> Operator:
     """Every mode with every axis that it drives, in both frames, and the way to an option."""
     commands: list[tuple[OperatorCommand, Callable[[int], bool]]] = []
     for mode in modes:
         commands.append((OperatorCommand(mode=mode), enough))
-        if mode is ModeName.ADVISOR:
+        if mode is DrivingMode.ADVISOR:
             advisor = teleoperator.mode_named(mode)
             assert isinstance(advisor, AdvisorMode)
             commands.append((OperatorCommand(option=1), lambda _, advisor=advisor: advisor.done > 0.1))
-        if len(teleoperator.hand_names) > 1 and mode is not ModeName.JOINT:
+        if len(teleoperator.hand_names) > 1 and mode is not DrivingMode.JOINT:
             commands.append((OperatorCommand(grip=Grip.OBJECT), enough))
             commands.append((OperatorCommand({"rz": 0.2} if mode in HANDS_MODES else {}), enough))
             commands.append((OperatorCommand(grip=Grip.FREE), enough))
@@ -238,7 +238,7 @@ def everything(teleoperator: Teleoperator, modes: Iterable[ModeName]) -> Operato
 
 
 async def by_hand(
-    cell: QuietCell, robot: str, modes: Iterable[ModeName], weights: Mapping[str, float] | None = None
+    cell: QuietCell, robot: str, modes: Iterable[DrivingMode], weights: Mapping[str, float] | None = None
 ) -> None:
     with ExitStack() as stack:
         teleoperator = teleoperator_for(cell, robot, stack, weights=weights)
@@ -315,16 +315,16 @@ async def counsel(cell: QuietCell, robot: str) -> None:
 
 
 # from home, where there are options with a way to them
-MODES = (ModeName.ADVISOR, *(mode for mode in ModeName if mode is not ModeName.ADVISOR))
+MODES = (DrivingMode.ADVISOR, *(mode for mode in TELEOPERATION if mode is not DrivingMode.ADVISOR))
 ALL = dict.fromkeys(BY_NAME, 1.0)
-FREE = (ModeName.JOINT, ModeName.DECOUPLED, ModeName.COUPLED)
+FREE = (DrivingMode.JOINT, DrivingMode.DECOUPLED, DrivingMode.COUPLED)
 CASES: dict[str, tuple[str, Callable[[QuietCell], Coroutine[Any, Any, None]]]] = {
     "modes-gr": ("lab", partial(by_hand, robot="gr", modes=MODES)),
-    "criteria-gr": ("lab", partial(by_hand, robot="gr", modes=(ModeName.COUPLED,), weights=ALL)),
+    "criteria-gr": ("lab", partial(by_hand, robot="gr", modes=(DrivingMode.COUPLED,), weights=ALL)),
     "modes-fr": ("lab", partial(by_hand, robot="fr", modes=FREE)),
     "modes-ur": ("arms", partial(by_hand, robot="ur", modes=FREE)),
     "modes-panda": ("arms", partial(by_hand, robot="panda", modes=MODES)),
-    "criteria-panda": ("arms", partial(by_hand, robot="panda", modes=(ModeName.COUPLED,), weights=ALL)),
+    "criteria-panda": ("arms", partial(by_hand, robot="panda", modes=(DrivingMode.COUPLED,), weights=ALL)),
     "modes-dawm": ("dawm", partial(by_hand, robot="dawm", modes=MODES)),
     **{name: ("lab", partial(by_camera, name=name)) for name in NAMES},
     "operated-fr": ("lab", partial(by_lines, robot="fr")),

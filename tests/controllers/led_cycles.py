@@ -14,13 +14,12 @@ import pinocchio as pin
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.camera import FOLLOWS
-from deltaq_controllers.modes.motion import HAND_AXES, ModeName, OperatorCommand
 from deltaq_controllers.operated.__main__ import drive_by_lines
 from deltaq_controllers.operator_input.interface import OperatorInput
-from deltaq_controllers.operator_input.master import Master, looking_at
+from deltaq_controllers.operator_input.master import LedInput, Master, looking_at
 from deltaq_controllers.statistics import ControlStatistics
 from deltaq_controllers.teleoperation import teleoperate, teleoperator_for
-from deltaq_protocol.driving import DriverMessage
+from deltaq_protocol.driving import HAND_AXES, DriverMessage, DrivingMode, OperatorCommand
 
 if TYPE_CHECKING:
     from first_cycles import Leased, QuietCell
@@ -59,11 +58,11 @@ class Lines:
             await asyncio.sleep(0)
         assert self.answers[number]["done"], self.answers[number]["text"]
 
-    async def wish(self, **fields: Any) -> None:
+    async def wish(self, rates: dict[str, float] | None = None, **fields: Any) -> None:
         """Wish for some cycles, and then for nothing until the robot rests."""
-        for wished in (fields, {}):
+        for wished in ({"rates": rates or {}, **fields}, {}):
             for _ in range(CYCLES):
-                self.send("wish", **wished)
+                self.send("command", command=wished)
                 leased = self._cell.leased
                 assert leased is not None
                 seen = leased.cycle
@@ -72,6 +71,10 @@ class Lines:
                     self._cell.places[self._master][0] += CREEP_RAD
                 while leased.cycle == seen:
                     await asyncio.sleep(0)
+
+    async def change(self, **settings: str) -> None:
+        """Choose mode, axes or grip."""
+        await self.ask("command", command=settings)
 
     async def go(self, mode: str) -> None:
         """Wish to go along the first way that a mode offers, until the robot is on it."""
@@ -102,29 +105,30 @@ async def by_lines(cell: QuietCell, robot: str, master: str | None = None) -> No
         await lines.ask("take", client="operator")
         is_redundant = model.n > 6 * len(hands)
         if is_redundant:  # from home, where there are options with a way to them
-            await lines.ask("mode", mode="advisor")
+            await lines.change(mode="advisor")
             await lines.go("advisor")
-        await lines.ask("mode", mode="pose")
+        await lines.change(mode="pose")
         await lines.ask("reach", hand=hands[-1], **beside(model, cell.leased))
         await lines.go("pose")
         if has_camera:
-            await lines.ask("mode", mode="follow")
+            await lines.change(mode="follow")
             await lines.wish()
         for mode in ("joint", "decoupled", *(["self-motion"] if is_redundant else []), "coupled"):
             for frame in ("world", "tool"):
-                await lines.ask("mode", mode=mode, frame=frame)
+                await lines.change(mode=mode, frame=frame)
                 if mode in ("joint", "self-motion"):
-                    await lines.wish(joints=[0.05, *([0.0] * (model.n - 1))])
+                    await lines.wish({model.joint_names[0]: 0.05})
                     continue
-                for hand in (*hands, "*") if len(hands) > 1 else hands:
-                    await lines.wish(twist=[0.05, 0.0, 0.0, 0.0, 0.0, 0.1], hand=hand)
+                for hand in (*hands, "") if len(hands) > 1 else hands:
+                    prefix = f"{hand}." if hand else ""
+                    await lines.wish({f"{prefix}x": 0.05, f"{prefix}rz": 0.1})
         if len(hands) > 1:
-            await lines.ask("mode", mode="coupled", grip="object")
-            await lines.wish(twist=[0.0, 0.0, 0.05, 0.0, 0.0, 0.1], hand="object")
+            await lines.change(mode="coupled", grip="object")
+            await lines.wish({"z": 0.05, "rz": 0.1})
         if master is not None:
             await lines.ask("choose_master", master=master, scale=0.5)
             before = model.forward(cell.leased.q)[:3, 3] if cell.leased is not None else None
-            await lines.wish(led=True)
+            await lines.wish(led="")
             assert cell.leased is not None
             assert abs(model.forward(cell.leased.q)[:3, 3] - before).max() > 1e-3, "the master leads"
         await lines.ask("release")
@@ -143,16 +147,16 @@ def beside(model: RobotModel, leased: Leased | None) -> dict[str, Any]:
 class Coupled(OperatorInput):
     """A button that is pressed in one mode of hands, and held while another one takes over."""
 
-    hand: str | None = None
-    is_clutched = False
     status = "a button"
 
     def __init__(self) -> None:
-        self._left = [mode for mode in (ModeName.DECOUPLED, ModeName.COUPLED) for _ in range(5 * CYCLES)]
+        self._left = [
+            mode for mode in (DrivingMode.DECOUPLED, DrivingMode.COUPLED) for _ in range(5 * CYCLES)
+        ]
 
     def read(self, time_s: float) -> OperatorCommand | None:
-        self.is_clutched = len(self._left) < 9 * CYCLES
-        return OperatorCommand(mode=self._left.pop(0)) if self._left else None
+        led = "" if len(self._left) < 9 * CYCLES else None
+        return OperatorCommand(mode=self._left.pop(0), led=led) if self._left else None
 
     def __enter__(self) -> Self:
         return self
@@ -168,7 +172,7 @@ async def by_master(cell: QuietCell, robot: str, master: str) -> None:
         teleoperator = teleoperator_for(cell, robot, stack)
         teleoperator.make_modes()
         look = looking_at(cell, master, robot)
-        operator = Master(teleoperator, cell.models[master], look, Coupled(), 0.5)
+        operator = LedInput(Coupled(), Master(teleoperator, cell.models[master], look, 0.5))
 
         def watch(_q: Any) -> None:
             led.append(dict(teleoperator.command.rates))

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from advising import advised, advisor_of
+from advising import advised, advisor_of, cell_of
 from driving import PlainDrive, StackDrive, model
 
-from deltaq_controllers.advisor.advisor import Progress
+from deltaq_controllers.advisor.advisor import Option, Progress
+from deltaq_controllers.advisor.session import AdvisorSession, Answered, SynchronousAdvisor, near_home
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.inverse.tracking import ConstraintTracker
-from deltaq_controllers.modes.advisor import NOTHING_FOUND
+from deltaq_controllers.modes.advisor import NOTHING_FOUND, tracker_of
 from deltaq_controllers.modes.interface import Limit
-from deltaq_controllers.modes.motion import ModeName, OperatorCommand
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.driving import DrivingMode, Grip, OperatorCommand
 from deltaq_protocol.messages import Outcome
 
 KEPT_M, KEPT_RAD = 1e-4, np.deg2rad(0.01)
@@ -22,7 +25,7 @@ LONGEST_CYCLES = 4000
 
 def plain(robot: str) -> PlainDrive:
     """A robot in advisor mode that stands, its options known."""
-    run = PlainDrive(robot, ModeName.JOINT)
+    run = PlainDrive(robot, DrivingMode.JOINT)
     run.teleoperator = advised(run.robot)
     run.drive(0.3)
     return run
@@ -94,7 +97,7 @@ def test_another_option_chosen_on_the_way_is_gone_to_from_there() -> None:
 @pytest.mark.long
 @pytest.mark.nightly
 def test_the_mode_is_switched_on_the_way_without_a_jump_and_asked_anew_on_coming_back() -> None:
-    other = ModeName.COUPLED
+    other = DrivingMode.COUPLED
     run = plain("gr")
     (rank, *_) = drivable(run)
     go_to(run, rank, 150)
@@ -103,8 +106,8 @@ def test_the_mode_is_switched_on_the_way_without_a_jump_and_asked_anew_on_coming
     run.drive(1.5, other, **{axis: 0.1})
     assert run.teleoperator.mode is other
     assert not run.teleoperator.is_at_rest
-    run.drive(1.5, ModeName.ADVISOR)
-    assert run.teleoperator.mode is ModeName.ADVISOR
+    run.drive(1.5, DrivingMode.ADVISOR)
+    assert run.teleoperator.mode is DrivingMode.ADVISOR
     assert advisor_of(run.teleoperator).options != before
     np.testing.assert_array_equal(advisor_of(run.teleoperator).options[0].start, run.now)
     assert run.violations == 0
@@ -128,9 +131,9 @@ def test_a_robot_without_a_joint_to_spare_has_no_advisor_and_hand_axes_are_refus
     with pytest.raises(ControllerError, match="advisor needs a redundant robot, 'fr' is not"):
         advised(model("fr"))
     with pytest.raises(ControllerError, match=r"'x' is not driven in mode advisor .* an option of its own"):
-        advised(model("gr")).check(OperatorCommand({"x": 0.1}), ModeName.ADVISOR)
+        advised(model("gr")).check(OperatorCommand({"x": 0.1}), DrivingMode.ADVISOR)
     with pytest.raises(ControllerError, match="option 1: options are for mode advisor, not coupled"):
-        advised(model("gr")).check(OperatorCommand(option=1), ModeName.COUPLED)
+        advised(model("gr")).check(OperatorCommand(option=1), DrivingMode.COUPLED)
 
 
 class Thinking:
@@ -160,7 +163,7 @@ class AtALoss(Thinking):
 
 
 def test_where_nothing_holds_the_hands_the_operator_is_told_what_to_do() -> None:
-    run = PlainDrive("gr", ModeName.JOINT)
+    run = PlainDrive("gr", DrivingMode.JOINT)
     run.teleoperator = advised(run.robot, advisor=AtALoss())
     go_to(run, 1, 50)
     limitation = run.teleoperator.limitation
@@ -170,7 +173,7 @@ def test_where_nothing_holds_the_hands_the_operator_is_told_what_to_do() -> None
 
 
 def test_the_robot_rests_while_the_advisor_thinks_and_the_question_is_given_up_on_leaving() -> None:
-    run, advisor = PlainDrive("gr", ModeName.JOINT), Thinking()
+    run, advisor = PlainDrive("gr", DrivingMode.JOINT), Thinking()
     run.teleoperator = advised(run.robot, advisor=advisor)
     home = run.now
     assert not run.teleoperator.awaits_advice
@@ -178,7 +181,7 @@ def test_the_robot_rests_while_the_advisor_thinks_and_the_question_is_given_up_o
     assert run.teleoperator.awaits_advice
     assert advisor_of(run.teleoperator).status == "thinking"
     assert (run.now == home).all()
-    run.drive(0.5, ModeName.JOINT, a1=0.2)
+    run.drive(0.5, DrivingMode.JOINT, a1=0.2)
     assert not run.teleoperator.is_at_rest
     assert advisor.given_up
 
@@ -193,7 +196,7 @@ def test_the_robot_rests_while_the_advisor_thinks_and_the_question_is_given_up_o
 def test_measured_hands_stay_on_the_way_to_an_option_through_the_whole_stack(
     silent_cycles: int, at_most_m: float, at_most_deg: float
 ) -> None:
-    run = StackDrive("dawm", ModeName.JOINT)
+    run = StackDrive("dawm", DrivingMode.JOINT)
     run.teleoperator = advised(run.robot)
     run.drive(0.3)
     home = run.robot.home
@@ -214,3 +217,92 @@ def test_measured_hands_stay_on_the_way_to_an_option_through_the_whole_stack(
     assert outcomes.count(Outcome.ADMITTED) > 0.9 * len(outcomes)
     tracker = ConstraintTracker(run.robot)
     assert np.abs(tracker.hands(ways[-1].q_cmd[-1]) - tracker.hands(home)).max() < 1e-6
+
+
+# Advisor mode where the hands may leave their place on the way to an option, and come back.
+
+
+IN_PLACE_M = 1e-3
+NEIGHBOURS_RAD = 0.1
+"""Configurations of a way that are further apart leap."""
+
+
+def off_m(run: PlainDrive) -> float:
+    """How far the hand is from where it was at home [m]."""
+    robot = run.robot
+    return float(np.linalg.norm((robot.forward(run.now) - robot.forward(robot.home))[:3, 3]))
+
+
+@pytest.mark.nightly
+def test_from_a_way_on_which_the_hand_left_its_place_another_option_has_it_in_place_again() -> None:
+    run = PlainDrive("gr", DrivingMode.JOINT)
+    advisor = SynchronousAdvisor(cell_of("gr"), "gr", options=12, effort=0.3)
+    run.teleoperator = advised(run.robot, advisor=advisor, hands_may_leave=True)
+    run.drive(0.3)
+    options = advisor_of(run.teleoperator).options
+    ranks = [rank for rank, option in enumerate(options, start=1) if option.path is not None]
+    leaving = next(rank for rank in ranks if options[rank - 1].hands_leave)
+    keeping = next(rank for rank in ranks if not options[rank - 1].hands_leave)
+    while off_m(run) < 10 * IN_PLACE_M:
+        run.step(OperatorCommand(option=leaving))
+    go_to(run, keeping)
+    assert run.teleoperator.arrived_at == keeping
+    assert off_m(run) < IN_PLACE_M
+    assert run.violations == 0
+    assert advisor_of(run.teleoperator).options[keeping - 1].hands_leave, (
+        "it is told that they left it on this way"
+    )
+
+
+@pytest.mark.long
+def test_the_way_from_where_a_hand_has_left_its_place_begins_there_and_need_not_lead_back() -> None:
+    cell = cell_of("gr")
+    session = AdvisorSession(cell, "gr", options=12, effort=0.3)
+    home = cell.robots["gr"].home
+    others = {name: robot.home for name, robot in cell.robots.items() if name != "gr"}
+    found: list[tuple[Option, ...]] = []
+
+    def note(progress: Progress) -> bool:
+        found.append(progress.options)
+        return True
+
+    session.ask(home, others, note, hands_may_leave=True)
+    asked = found[-1]
+    leaving = next(option for option in asked if option.path is not None and option.hands_leave)
+    keeping = next(
+        rank
+        for rank, option in enumerate(asked, start=1)
+        if option.path is not None and not option.hands_leave
+    )
+    assert leaving.path is not None
+    back = leaving.path[: len(leaving.path) // 2][::-1]
+    session.seek(back, keeping, others, note)
+    way = found[-1][keeping - 1].path
+    assert way is not None
+    np.testing.assert_array_equal(way[0], back[0])
+    assert np.abs(np.diff(way, axis=0)).max() < NEIGHBOURS_RAD
+    onwards = asked[keeping - 1].path
+    assert onwards is not None
+    assert len(way) < len(back) + len(onwards)
+
+
+def test_hands_that_hold_an_object_do_not_leave_their_place_for_an_option() -> None:
+    robot = model("dawm")
+    tracker = tracker_of(robot)
+    end = robot.home + np.where([name == "left_1" for name in robot.joint_names], 0.2, 0.0)
+    moved = replace(
+        near_home(tracker), q=end, path=np.array([robot.home, end]), hands_move=True, hands_leave=True
+    )
+    run = PlainDrive("dawm", DrivingMode.JOINT)
+    run.teleoperator = advised(robot, advisor=Answered(tracker, Progress("", 1.0, 0.0, 0, (moved,))))
+    run.step(OperatorCommand(grip=Grip.OBJECT))
+    run.drive(0.3)
+    go_to(run, 1, 100)
+    np.testing.assert_array_equal(run.now, robot.home)
+    limitation = run.teleoperator.limitation
+    assert limitation is not None
+    assert limitation.limit is Limit.NO_WAY
+    assert "would part hands that hold an object" in limitation.text
+    run.step(OperatorCommand(grip=Grip.FREE))
+    go_to(run, 1)
+    assert run.teleoperator.arrived_at == 1

@@ -3,23 +3,35 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import signal
+import time
 from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from contextlib import ExitStack, asynccontextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
 from guarded_peer import GuardedPeer, guarded_peer
-from small_cell import small_cell, told, tool_pose
+from served import Server
+from small_cell import free_port, small_cell, told, tool_pose
 
+from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.advisor.process import AdvisorProcess
+from deltaq_controllers.answers import lease
 from deltaq_controllers.interface import View
 from deltaq_controllers.live import drive
+from deltaq_controllers.modes.advisor import tracker_of
 from deltaq_controllers.statistics import ControlStatistics
 from deltaq_protocol import connect
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell
+from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_services.hli.shell import Hli
+from deltaq_testing.impairment.process import RelayProcess
+from deltaq_testing.impairment.relay import TrafficUnit
+from deltaq_testing.impairment.stream import StreamFaults
 
 STEP = 1e-4
 
@@ -131,3 +143,92 @@ async def test_while_verdicts_come_each_increment_is_added_to_the_one_before(run
     moved = np.diff(running.seen[5:])
     # on a busy machine a state may be missed, and what that cost is known only later
     assert np.median(moved) == pytest.approx(STEP)
+
+
+# Controllers ask for a playout buffer where the way there and back is longer than a cycle, and only there.
+
+
+@pytest.mark.service
+@pytest.mark.parametrize(("delay_s", "cycle_s"), [(0.0, 0.1), (0.07, 0.1), (0.03, 0.012)])
+async def test_a_playout_buffer_is_asked_for_from_farther_away_than_a_cycle(
+    delay_s: float, cycle_s: float
+) -> None:
+    with ExitStack() as served:
+        server = served.enter_context(Server(cycle_s=cycle_s))
+        away = Endpoint.parse(f"tcp/127.0.0.1:{free_port()}")
+        relay = RelayProcess(away, Endpoint.parse(server.description.hli), TrafficUnit.BYTES)
+        served.enter_context(relay).impair(StreamFaults(delay_s=delay_s))
+        async with connect(str(away)) as cell, await lease(cell, "fr") as robot:
+            before = None if robot.state is None else robot.state.cycle
+            async for state in robot.states():
+                if before is not None and state.cycle > before + 20:  # after the lease was granted
+                    break
+                before = state.cycle if before is None else before
+    assert (state.playout is not None) == (2 * delay_s > cycle_s)
+
+
+# The advisor's own process: asked, given up, asked again, and gone.
+
+
+LAB = CellModel.load("lab")
+GR = LAB.robots["gr"]
+OTHERS = {"fr": LAB.robots["fr"].home}
+
+
+def advisor(**weights: float) -> AdvisorProcess:
+    return AdvisorProcess(
+        CellModel.load("lab").description_message(), tracker_of(GR), lambda: OTHERS, weights or None
+    )
+
+
+def wait_for(advisor: AdvisorProcess, reached: Callable[[], bool]) -> None:
+    """Until what the process has said makes it so; each wait ends with a word of it."""
+    deadline = time.monotonic() + 60
+    while not reached():
+        assert advisor._line.poll(max(0.0, deadline - time.monotonic())), "the process says nothing"
+
+
+@pytest.mark.service
+def test_options_come_first_their_ways_follow_and_a_question_given_up_is_answered_no_more() -> None:
+    with advisor() as asked:
+        asked.ask(GR.home)
+        assert asked.is_busy
+        wait_for(asked, lambda: asked.progress is not None and bool(asked.progress.options))
+        assert asked.is_busy
+        asked.give_up()
+        assert not asked.is_busy
+        assert asked.progress is not None
+        first = asked.progress.options
+        elsewhere = GR.home + np.eye(GR.n)[0] * 0.1
+        asked.ask(elsewhere)
+        wait_for(asked, lambda: not asked.is_busy)
+        assert asked.trouble == ""
+        options = asked.progress.options
+        assert len(options) == len(first)
+        for option in options:
+            np.testing.assert_array_equal(option.start, elsewhere)
+            assert option.path is not None or option.no_path
+        asked.seek(elsewhere[None], 1)
+        assert asked.is_busy
+        wait_for(asked, lambda: not asked.is_busy)
+        assert asked.progress.options[0].path is not None
+
+
+@pytest.mark.service
+def test_what_cannot_be_answered_is_told() -> None:
+    with advisor(travle=1.0) as asked:
+        asked.ask(GR.home)
+        wait_for(asked, lambda: not asked.is_busy)
+        assert asked.trouble.startswith("no criterion 'travle'; there are travel")
+
+
+@pytest.mark.service
+def test_a_process_that_has_ended_is_told_and_ends_no_loop() -> None:
+    with advisor() as asked:
+        asked.ask(GR.home)
+        assert asked._process.pid is not None
+        os.kill(asked._process.pid, signal.SIGKILL)
+        wait_for(asked, lambda: not asked.is_busy)
+        assert "the advisor's process has ended" in asked.trouble
+        asked.ask(GR.home)
+        assert "the advisor's process has ended" in asked.trouble

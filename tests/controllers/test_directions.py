@@ -18,12 +18,12 @@ from driving import CYCLE_S, PlainDrive, StackDrive, model
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.interface import Limit
-from deltaq_controllers.modes.motion import ModeName
 from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_protocol.driving import TELEOPERATION, DrivingMode
 from deltaq_protocol.messages import Outcome
 from studies.directions import DirectionGone, commands, drive, judged
 
-JOINT, DECOUPLED, SELF_MOTION, _, COUPLED = ModeName
+JOINT, DECOUPLED, SELF_MOTION, _, COUPLED = TELEOPERATION
 DURATION_S = 6.0
 
 OFF_LINE_MM, OFF_LINE_DEG = 0.1, 0.01
@@ -58,7 +58,7 @@ SPEEDING_UP = 0.015
 """Part of a way of six seconds that speeding up may take: pink speeds up at once."""
 
 
-def gone(robot: str, mode: ModeName, rates: dict[str, float]) -> DirectionGone:
+def gone(robot: str, mode: DrivingMode, rates: dict[str, float]) -> DirectionGone:
     way, _, limited = drive(model(robot), mode, rates, DURATION_S, CYCLE_S)
     return judged(model(robot), rates, way, DURATION_S, limited)
 
@@ -114,7 +114,7 @@ def test_decoupled_goes_as_far_as_before(robot: str) -> None:
     ],
 )
 def test_at_a_limit_the_robot_stands_still_and_says_which_one(
-    robot: str, mode: ModeName, axis: str, rate: float, limit: Limit
+    robot: str, mode: DrivingMode, axis: str, rate: float, limit: Limit
 ) -> None:
     run = PlainDrive(robot, mode)
     run.drive(6.0, **{axis: rate})
@@ -154,7 +154,9 @@ def test_where_bodies_come_near_the_robot_stops_by_itself_and_the_gate_refuses_n
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("mode", [COUPLED, DECOUPLED])
-def test_a_hand_that_meets_a_moving_robot_stops_by_itself_and_the_gate_holds_neither(mode: ModeName) -> None:
+def test_a_hand_that_meets_a_moving_robot_stops_by_itself_and_the_gate_holds_neither(
+    mode: DrivingMode,
+) -> None:
     run = StackDrive("gr", mode, keeps_clear=True)
     run.join("fr", DECOUPLED, y=-0.08)
     meeting = run.drive(5.6, y=0.12, x=0.04)

@@ -16,13 +16,13 @@ from virtual_pad import VirtualPad
 
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.motion import Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.gamepad import SETTLE_S, Gamepad, PadButton, StickAxis, Trigger
 from deltaq_controllers.operator_input.interface import DEAD_ZONE
 from deltaq_controllers.operator_input.view_distance import AskedViewDistance
 from deltaq_controllers.statistics import ControlStatistics
 from deltaq_controllers.teleoperation import teleoperate
+from deltaq_protocol.driving import DrivingMode, Grip, OperatorCommand
 from deltaq_protocol.pad_layout import PAD_LAYOUT, PadFunction
 
 REST = OperatorCommand()
@@ -30,7 +30,7 @@ AHEAD = (StickAxis.LEFT_Y, -1.0)
 MOVE, TURN = PadButton.LEFT_SHOULDER, PadButton.RIGHT_SHOULDER
 
 
-def teleoperator(robot: str = "gr", mode: ModeName = ModeName.COUPLED) -> Teleoperator:
+def teleoperator(robot: str = "gr", mode: DrivingMode = DrivingMode.COUPLED) -> Teleoperator:
     return Teleoperator(model(robot), CYCLE_S, mode)
 
 
@@ -216,7 +216,7 @@ def test_the_left_shoulder_button_moves_and_the_right_one_turns(
 
 
 def test_a_tap_between_two_looks_counts_once(pad: VirtualPad) -> None:
-    with Settled(teleoperator(mode=ModeName.JOINT)) as gamepad:
+    with Settled(teleoperator(mode=DrivingMode.JOINT)) as gamepad:
         pad.press(PadButton.RIGHT)
         pad.release(PadButton.RIGHT)
         gamepad.look()
@@ -225,10 +225,10 @@ def test_a_tap_between_two_looks_counts_once(pad: VirtualPad) -> None:
 
 
 def test_the_stick_drives_the_joint_that_the_cross_chose(pad: VirtualPad) -> None:
-    with Settled(teleoperator(mode=ModeName.SELF_MOTION)) as gamepad:
+    with Settled(teleoperator(mode=DrivingMode.SELF_MOTION)) as gamepad:
         pad.press(TURN, PadButton.LEFT)
         pad.push(*AHEAD)
-        assert gamepad.look() == OperatorCommand({"a6": pytest.approx(0.35)})
+        assert gamepad.look() == OperatorCommand({"a6": pytest.approx(0.35)}, led="")
         assert gamepad.status == "joint a6, output gripper, 0.100 m/s, held"
 
 
@@ -247,26 +247,26 @@ class Steps:
 @pytest.mark.parametrize(
     ("function", "mode", "does"),
     [
-        (PadFunction.MOVE, ModeName.COUPLED, {"x"}),
-        (PadFunction.TURN, ModeName.COUPLED, {"rx"}),
-        (PadFunction.STOP, ModeName.COUPLED, {"ends"}),
-        (PadFunction.MODE, ModeName.COUPLED, {"joint"}),
-        (PadFunction.FRAME, ModeName.COUPLED, {"tool"}),
-        (PadFunction.HAND, ModeName.COUPLED, {"the next hand"}),
-        (PadFunction.OUTPUT, ModeName.COUPLED, {"tool_changer"}),
-        (PadFunction.ON, ModeName.COUPLED, {"gripper True"}),
-        (PadFunction.OFF, ModeName.COUPLED, {"gripper False"}),
-        (PadFunction.NEARER, ModeName.COUPLED, {"-0.1 m"}),
-        (PadFunction.FARTHER, ModeName.COUPLED, {"+0.1 m"}),
-        (PadFunction.PREVIOUS, ModeName.COUPLED, {"0.067 m/s"}),
-        (PadFunction.NEXT, ModeName.COUPLED, {"0.150 m/s"}),
-        (PadFunction.NEXT, ModeName.JOINT, {"joint 1"}),
-        (PadFunction.ROBOT, ModeName.COUPLED, set()),
-        (PadFunction.PICTURE, ModeName.COUPLED, set()),
+        (PadFunction.MOVE, DrivingMode.COUPLED, {"x"}),
+        (PadFunction.TURN, DrivingMode.COUPLED, {"rx"}),
+        (PadFunction.STOP, DrivingMode.COUPLED, {"ends"}),
+        (PadFunction.MODE, DrivingMode.COUPLED, {"joint"}),
+        (PadFunction.FRAME, DrivingMode.COUPLED, {"tool"}),
+        (PadFunction.HAND, DrivingMode.COUPLED, {"the next hand"}),
+        (PadFunction.OUTPUT, DrivingMode.COUPLED, {"tool_changer"}),
+        (PadFunction.ON, DrivingMode.COUPLED, {"gripper True"}),
+        (PadFunction.OFF, DrivingMode.COUPLED, {"gripper False"}),
+        (PadFunction.NEARER, DrivingMode.COUPLED, {"-0.1 m"}),
+        (PadFunction.FARTHER, DrivingMode.COUPLED, {"+0.1 m"}),
+        (PadFunction.PREVIOUS, DrivingMode.COUPLED, {"0.067 m/s"}),
+        (PadFunction.NEXT, DrivingMode.COUPLED, {"0.150 m/s"}),
+        (PadFunction.NEXT, DrivingMode.JOINT, {"joint 1"}),
+        (PadFunction.ROBOT, DrivingMode.COUPLED, set()),
+        (PadFunction.PICTURE, DrivingMode.COUPLED, set()),
     ],
 )
 def test_every_button_and_trigger_does_what_the_layout_says_that_the_console_has_too(
-    pad: VirtualPad, function: PadFunction, mode: ModeName, does: set[str]
+    pad: VirtualPad, function: PadFunction, mode: DrivingMode, does: set[str]
 ) -> None:
     (name,) = (control.name for control in PAD_LAYOUT if control.function is function)
     view = Steps()
@@ -297,10 +297,10 @@ def test_every_button_and_trigger_does_what_the_layout_says_that_the_console_has
 def test_the_stick_goes_to_the_chosen_option_while_it_is_pushed(pad: VirtualPad) -> None:
     with Settled(advised(model("gr"))) as gamepad:
         pad.press(TURN, PadButton.RIGHT)
-        assert gamepad.look() == REST
+        assert gamepad.look() == OperatorCommand(led="")
         assert gamepad.status == "option 2, output gripper, 0.100 m/s, held"
         pad.push(*AHEAD)
-        assert gamepad.look() == OperatorCommand(option=2)
+        assert gamepad.look() == OperatorCommand(option=2, led="")
         pad.release(TURN)
         assert gamepad.look() == REST
 
@@ -349,7 +349,7 @@ def test_a_button_goes_round_left_right_the_object_and_both_hands_and_each_moves
 
 
 def test_hands_that_are_chosen_by_the_pad_move_and_the_other_one_stays(pad: VirtualPad) -> None:
-    run = PlainDrive("dawm", ModeName.COUPLED)
+    run = PlainDrive("dawm", DrivingMode.COUPLED)
     hands = Hands(run.robot)
     hands.place(run.now)
     start = hands.positions
@@ -404,7 +404,7 @@ def test_the_view_distance_is_told_beside_the_speed(pad: VirtualPad) -> None:
 @pytest.mark.long
 async def test_a_robot_comes_to_rest_when_its_pad_is_unplugged(pad: VirtualPad) -> None:
     cell = QuietCell("lab", Waits())
-    driven = Teleoperator(cell.models["gr"], CYCLE_S, ModeName.COUPLED)
+    driven = Teleoperator(cell.models["gr"], CYCLE_S, DrivingMode.COUPLED)
     places: list[np.ndarray] = []
     enough = asyncio.Event()
     with Settled(driven) as gamepad:

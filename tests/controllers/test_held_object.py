@@ -14,14 +14,14 @@ from test_operator_input import Terminal
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.hands import Hands, HeldObject
-from deltaq_controllers.modes.motion import Frame, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.script import Script
 from deltaq_controllers.teleoperation import DriveLog
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.driving import DrivingMode, Frame, Grip, OperatorCommand
 
 OBJECT, FREE = Grip.OBJECT, Grip.FREE
-HANDS_MODES = (ModeName.DECOUPLED, ModeName.COUPLED)
+HANDS_MODES = (DrivingMode.DECOUPLED, DrivingMode.COUPLED)
 KEPT_M, KEPT_RAD = 5e-6, 5e-6
 BRAKED_M, BRAKED_RAD = 6e-4, 1.2e-3
 
@@ -37,7 +37,7 @@ def poses(robot: RobotModel, q: Array) -> tuple[Array, Array]:
     return hands.rotations, hands.positions
 
 
-def held(mode: ModeName = ModeName.COUPLED, frame: Frame = Frame.WORLD) -> PlainDrive:
+def held(mode: DrivingMode = DrivingMode.COUPLED, frame: Frame = Frame.WORLD) -> PlainDrive:
     run = PlainDrive("dawm", mode, frame=frame)
     run.step(OperatorCommand(grip=OBJECT))
     return run
@@ -49,23 +49,28 @@ def held(mode: ModeName = ModeName.COUPLED, frame: Frame = Frame.WORLD) -> Plain
 @pytest.mark.parametrize(
     ("robot", "command", "mode", "told"),
     [
-        ("gr", OperatorCommand(), ModeName.COUPLED, "robot gr has one hand, and an object is held by two"),
-        ("dawm", OperatorCommand(), ModeName.JOINT, "mode joint moves each joint by itself and would part"),
-        ("dawm", OperatorCommand({"left.x": 0.1}), ModeName.COUPLED, "'left.x' moves one hand alone"),
+        ("gr", OperatorCommand(), DrivingMode.COUPLED, "robot gr has one hand, and an object is held by two"),
+        (
+            "dawm",
+            OperatorCommand(),
+            DrivingMode.JOINT,
+            "mode joint moves each joint by itself and would part",
+        ),
+        ("dawm", OperatorCommand({"left.x": 0.1}), DrivingMode.COUPLED, "'left.x' moves one hand alone"),
     ],
 )
 def test_what_would_part_the_hands_is_refused(
-    robot: str, command: OperatorCommand, mode: ModeName, told: str
+    robot: str, command: OperatorCommand, mode: DrivingMode, told: str
 ) -> None:
     with pytest.raises(ControllerError, match=told):
-        Teleoperator(model(robot), CYCLE_S, ModeName.COUPLED).check(command, mode, OBJECT)
+        Teleoperator(model(robot), CYCLE_S, DrivingMode.COUPLED).check(command, mode, OBJECT)
 
 
 def test_a_mode_that_would_part_the_hands_is_not_taken_over_while_they_hold() -> None:
     run = held()
     with pytest.raises(ControllerError, match=r"choose grip free first, or another mode"):
-        run.step(OperatorCommand(mode=ModeName.JOINT))
-    free = PlainDrive("dawm", ModeName.JOINT)
+        run.step(OperatorCommand(mode=DrivingMode.JOINT))
+    free = PlainDrive("dawm", DrivingMode.JOINT)
     with pytest.raises(ControllerError, match="mode joint"):
         free.step(OperatorCommand(grip=OBJECT))
 
@@ -82,7 +87,7 @@ def test_a_script_is_checked_with_the_grip_that_it_has_by_then(tmp_path: Path, t
     file = tmp_path / "task.yaml"
     file.write_text(text, encoding="utf-8")
     with pytest.raises(ControllerError, match=told):
-        Script.load(file, Teleoperator(model("dawm"), CYCLE_S, ModeName.COUPLED))
+        Script.load(file, Teleoperator(model("dawm"), CYCLE_S, DrivingMode.COUPLED))
 
 
 # --- the object ---------------------------------------------------------------------------------------------------
@@ -132,7 +137,7 @@ def test_twists_of_the_hands_are_the_derivative_of_their_poses_on_the_object(
 @pytest.mark.long
 @pytest.mark.parametrize("mode", HANDS_MODES)
 def test_hands_keep_to_one_another_through_every_bound_where_free_ones_part(
-    dawm: RobotModel, mode: ModeName
+    dawm: RobotModel, mode: DrivingMode
 ) -> None:
     parted = drive(dawm, mode, OBJECT, CYCLE_S, seed=101, directions=3)
     assert parted[:, 0].max() < KEPT_M
@@ -142,7 +147,7 @@ def test_hands_keep_to_one_another_through_every_bound_where_free_ones_part(
 
 @pytest.mark.long
 def test_a_gate_that_brakes_parts_the_hands_by_little_and_they_come_together_again(dawm: RobotModel) -> None:
-    parted = drive(dawm, ModeName.COUPLED, OBJECT, CYCLE_S, seed=102, lost_share=LOST_SHARE, directions=4)
+    parted = drive(dawm, DrivingMode.COUPLED, OBJECT, CYCLE_S, seed=102, lost_share=LOST_SHARE, directions=4)
     assert 1e-5 < parted[:, 0].max() < BRAKED_M
     assert parted[:, 1].max() < BRAKED_RAD
     assert np.median(parted[:, 0]) < KEPT_M
@@ -169,7 +174,7 @@ def test_an_object_turns_about_its_middle_and_goes_along_its_own_axes(dawm: Robo
 def test_a_base_joint_of_both_arms_carries_the_object_and_one_of_one_arm_moves_beneath_it(
     dawm: RobotModel,
 ) -> None:
-    run = held(ModeName.DECOUPLED)
+    run = held(DrivingMode.DECOUPLED)
     start = poses(dawm, run.now)[1].mean(axis=0)
     run.drive(0.6, left_yaw=0.2)
     run.rest()
@@ -183,7 +188,7 @@ def test_a_base_joint_of_both_arms_carries_the_object_and_one_of_one_arm_moves_b
 
 
 def test_the_object_is_taken_and_let_go_at_rest_and_the_record_tells_it_apart(dawm: RobotModel) -> None:
-    run = PlainDrive("dawm", ModeName.COUPLED)
+    run = PlainDrive("dawm", DrivingMode.COUPLED)
     teleoperator = run.teleoperator
     log = DriveLog(teleoperator, CYCLE_S)
     for _ in range(40):
@@ -209,7 +214,7 @@ def test_the_object_is_taken_and_let_go_at_rest_and_the_record_tells_it_apart(da
 
 @pytest.mark.long
 def test_what_stops_the_object_is_told_as_such() -> None:
-    run = held(ModeName.DECOUPLED)
+    run = held(DrivingMode.DECOUPLED)
     run.drive(3.5, rx=0.3)
     limitation = run.teleoperator.limitation
     assert limitation is not None
@@ -217,7 +222,7 @@ def test_what_stops_the_object_is_told_as_such() -> None:
 
 
 def test_a_key_goes_round_the_hands_to_the_object_and_leaves_out_the_mode_that_would_part_them() -> None:
-    run = PlainDrive("dawm", ModeName.COUPLED)
+    run = PlainDrive("dawm", DrivingMode.COUPLED)
     terminal = Terminal(run.teleoperator)
     with terminal.keyboard:
         assert terminal.press("w", 1.0) == OperatorCommand({"x": pytest.approx(0.1 / 7)}, grip=FREE)
@@ -227,5 +232,5 @@ def test_a_key_goes_round_the_hands_to_the_object_and_leaves_out_the_mode_that_w
         assert "hand object" in terminal.keyboard.status
         assert terminal.press("w", 1.2) == OperatorCommand({"x": pytest.approx(0.1 / 7)}, grip=OBJECT)
         modes = [terminal.press("m", 2.0) for _ in range(3)]
-        assert ModeName.JOINT not in {command.mode for command in modes if command is not None}
+        assert DrivingMode.JOINT not in {command.mode for command in modes if command is not None}
     terminal.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,20 +13,21 @@ from pages import steps
 
 from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.motion import Frame, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
-from deltaq_controllers.operator_input.interface import OperatorInput
+from deltaq_controllers.operator_input.interface import OperatorInput, led_hand
 from deltaq_controllers.operator_input.master import (
     JUMP_M,
     MOST_M_S,
     REST_S,
     SLACK_M,
     STALE_S,
+    LedInput,
     LedPose,
     Master,
     PlacedTool,
 )
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.driving import DrivingMode, Frame, Grip, OperatorCommand
 from deltaq_protocol.messages import Outcome
 from deltaq_testing.virtual_cell.cell import VirtualCell
 
@@ -47,7 +49,7 @@ class Clutch(OperatorInput):
         self.felt.append(share)
 
     def read(self, time_s: float) -> OperatorCommand | None:
-        return self.command
+        return self.command and replace(self.command, led=led_hand(self.hand) if self.is_clutched else None)
 
     def __enter__(self) -> Clutch:
         return self
@@ -62,12 +64,13 @@ class Led:
     def __init__(
         self, scale: float = 0.5, frame: Frame = Frame.WORLD, robot: str = "gr", master: str = "fr"
     ) -> None:
-        self.slave = PlainDrive(robot, ModeName.COUPLED, frame=frame)
-        self.leader = PlainDrive(master, ModeName.COUPLED)
+        self.slave = PlainDrive(robot, DrivingMode.COUPLED, frame=frame)
+        self.leader = PlainDrive(master, DrivingMode.COUPLED)
         self.clutch = Clutch()
         self.is_seen = True
         self._cycle = 0
-        self.input = Master(self.slave.teleoperator, self.leader.robot, self._look, self.clutch, scale)
+        master = Master(self.slave.teleoperator, self.leader.robot, self._look, scale)
+        self.input = LedInput(self.clutch, master)
         self.time_s = 0.0
         self.rest()
 
@@ -112,9 +115,9 @@ class Led:
 
 
 def test_a_robot_cannot_lead_itself() -> None:
-    operator = Teleoperator(model("gr"), CYCLE_S, ModeName.COUPLED)
+    operator = Teleoperator(model("gr"), CYCLE_S, DrivingMode.COUPLED)
     with pytest.raises(ControllerError, match="master gr: a robot cannot lead itself"):
-        Master(operator, model("gr"), lambda: (None, None), Clutch(), 1.0)
+        Master(operator, model("gr"), lambda: (None, None), 1.0)
 
 
 def test_a_master_that_is_not_coupled_or_never_seen_moves_nothing() -> None:
@@ -122,8 +125,8 @@ def test_a_master_that_is_not_coupled_or_never_seen_moves_nothing() -> None:
     led.clutch.is_clutched = False
     assert led.drive(0.5, x=0.1) == OperatorCommand()
     assert "fr is not coupled" in led.input.status
-    unseen = Master(led.slave.teleoperator, model("fr"), lambda: (None, None), Clutch(), 1.0)
-    assert unseen.read(0.0) == OperatorCommand()
+    unseen = LedInput(Clutch(), Master(led.slave.teleoperator, model("fr"), lambda: (None, None), 1.0))
+    assert unseen.read(0.0) == OperatorCommand(led="")
     assert "is not seen" in unseen.status
 
 
@@ -148,13 +151,13 @@ def test_a_master_that_falls_silent_is_rest_until_it_is_coupled_anew() -> None:
 
 def test_a_master_that_moves_as_it_is_found_leads_nothing_until_it_was_at_rest() -> None:
     led = Led()
-    led.input = Master(led.slave.teleoperator, led.leader.robot, led._look, led.clutch, 1.0)
+    led.input = LedInput(led.clutch, Master(led.slave.teleoperator, led.leader.robot, led._look, 1.0))
     for is_clutched in (False, True, False, True):
         led.clutch.is_clutched = is_clutched
-        assert led.drive(0.5, x=0.1) == OperatorCommand()
+        assert led.drive(0.5, x=0.1).rates == {}
     assert "fr moves: let it rest, then couple it" in led.input.status
     led.drive(1.0)
-    assert led.drive(0.5, x=0.1) == OperatorCommand(), "it was coupled while it moved"
+    assert led.drive(0.5, x=0.1) == OperatorCommand(led=""), "it was coupled while it moved"
     led.rest()
     assert led.drive(0.5, x=0.1).rates["x"] > 0.03
 
@@ -169,9 +172,9 @@ def test_a_master_that_jumps_is_uncoupled() -> None:
 
 def test_a_mode_without_hands_is_not_led() -> None:
     led = Led()
-    led.slave = PlainDrive("gr", ModeName.JOINT)
-    led.input = Master(led.slave.teleoperator, led.leader.robot, led._look, led.clutch, 1.0)
-    assert led.drive(0.2, x=0.1) == OperatorCommand()
+    led.slave = PlainDrive("gr", DrivingMode.JOINT)
+    led.input = LedInput(led.clutch, Master(led.slave.teleoperator, led.leader.robot, led._look, 1.0))
+    assert led.drive(0.2, x=0.1) == OperatorCommand(led="")
     assert "leads no hand in mode joint" in led.input.status
 
 
@@ -284,8 +287,8 @@ def test_an_object_between_two_hands_is_led_as_one() -> None:
 
 @pytest.mark.long
 def test_one_robot_of_a_cell_leads_the_other_through_the_gate() -> None:
-    drive, clutch = StackDrive("gr", ModeName.COUPLED), Clutch()
-    stack, leader = drive.stack, Teleoperator(model("fr"), CYCLE_S, ModeName.COUPLED)
+    drive, clutch = StackDrive("gr", DrivingMode.COUPLED), Clutch()
+    stack, leader = drive.stack, Teleoperator(model("fr"), CYCLE_S, DrivingMode.COUPLED)
     stack.acquire("fr", "somebody")
 
     def view(name: str) -> RobotView:
@@ -294,7 +297,7 @@ def test_one_robot_of_a_cell_leads_the_other_through_the_gate() -> None:
     def tool(name: str) -> Array:
         return stack.cell.robots[name].forward(np.array(stack.states[name].q))[:3, 3]
 
-    master = Master(drive.teleoperator, model("fr"), lambda: (view("fr"), view("gr")), clutch, 0.5)
+    master = LedInput(clutch, Master(drive.teleoperator, model("fr"), lambda: (view("fr"), view("gr")), 0.5))
     start = tool("fr"), tool("gr")
     for cycle in range(170):
         stack.cycle()
@@ -319,7 +322,7 @@ def test_a_twin_that_is_moved_joint_by_joint_leads_its_arm_through_the_gate(tmp_
     (tmp_path / "twin.yaml").write_text(text, encoding="utf-8")
     stack = VirtualCell(tmp_path / "twin.yaml")
     arm, twin = (stack.cell.robots[name] for name in ("arm", "twin"))
-    teleoperator = Teleoperator(arm, stack.cell.description.cycle_s, ModeName.DECOUPLED)
+    teleoperator = Teleoperator(arm, stack.cell.description.cycle_s, DrivingMode.DECOUPLED)
     stack.run_until_ready()
     for name in ("arm", "twin"):
         stack.acquire(name, "somebody")
@@ -331,7 +334,7 @@ def test_a_twin_that_is_moved_joint_by_joint_leads_its_arm_through_the_gate(tmp_
         return [robot.forward(view(robot.name).q) for robot in (twin, arm)]
 
     clutch = Clutch()
-    master = Master(teleoperator, twin, lambda: (view("twin"), view("arm")), clutch, 0.25)
+    master = LedInput(clutch, Master(teleoperator, twin, lambda: (view("twin"), view("arm")), 0.25))
     before, outcomes = tools(), set()
     for cycle in range(-20, 350):
         stack.cycle()

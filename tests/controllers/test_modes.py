@@ -16,13 +16,13 @@ from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.modes.hand_modes import CoupledMode, travel, travel_gradient, weighed
 from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.interface import Instant
-from deltaq_controllers.modes.motion import Frame, ModeName, Motion, OperatorCommand
+from deltaq_controllers.modes.interface import Instant, Motion
 from deltaq_controllers.modes.teleoperator import MODES, Teleoperator
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles, brake_travel
+from deltaq_protocol.driving import TELEOPERATION, DrivingMode, Frame, OperatorCommand
 
-JOINT, DECOUPLED, SELF_MOTION, _, COUPLED = ModeName
+JOINT, DECOUPLED, SELF_MOTION, _, COUPLED = TELEOPERATION
 BY_HAND = tuple(MODES)
 KEPT_M, KEPT_RAD = 1e-4, np.deg2rad(0.01)
 
@@ -60,7 +60,7 @@ def test_the_travel_criterion_has_the_gradient_it_says() -> None:
 
 
 @pytest.mark.parametrize("mode", BY_HAND)
-def test_a_stick_let_go_brings_the_robot_to_rest_and_keeps_it_there(mode: ModeName) -> None:
+def test_a_stick_let_go_brings_the_robot_to_rest_and_keeps_it_there(mode: DrivingMode) -> None:
     run = PlainDrive("gr", mode)
     run.drive(1.0, **dict.fromkeys(run.teleoperator.axes(mode)[:1], 0.1))
     assert not run.teleoperator.is_at_rest
@@ -75,14 +75,14 @@ def test_no_wish_takes_an_increment_past_a_limit_of_position_speed_or_accelerati
     random = np.random.default_rng(3)
     run = PlainDrive(robot, COUPLED)
     for _ in range(25):
-        mode = ModeName(random.choice([name.value for name in BY_HAND]))
+        mode = DrivingMode(random.choice([name.value for name in BY_HAND]))
         chosen = random.choice(run.teleoperator.axes(mode), 3)
         run.drive(0.8, mode, **{axis: float(random.uniform(-1.5, 1.5)) for axis in chosen})
     assert run.violations == 0
 
 
 @pytest.mark.parametrize(("before", "after"), list(permutations(BY_HAND, 2)))
-def test_a_mode_is_switched_in_motion_without_a_jump(before: ModeName, after: ModeName) -> None:
+def test_a_mode_is_switched_in_motion_without_a_jump(before: DrivingMode, after: DrivingMode) -> None:
     run = PlainDrive("gr", before)
     commands = {mode: {run.teleoperator.axes(mode)[0]: 0.2} for mode in BY_HAND}
     run.drive(0.6, **commands[before])
@@ -96,7 +96,7 @@ def test_a_mode_is_switched_in_motion_without_a_jump(before: ModeName, after: Mo
 @pytest.mark.parametrize("mode", [DECOUPLED, COUPLED])
 @pytest.mark.parametrize(("robot", "axis"), [("gr", "x"), ("gr", "rz"), ("dawm", "z")])
 def test_a_hand_stays_on_its_line_while_it_starts_goes_and_stops(
-    mode: ModeName, robot: str, axis: str
+    mode: DrivingMode, robot: str, axis: str
 ) -> None:
     run, hands = PlainDrive(robot, mode), Hands(model(robot))
     hands.update(run.now)

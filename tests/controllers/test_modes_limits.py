@@ -1,15 +1,25 @@
+""""""
+
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 import pytest
-from driving import PlainDrive, StackDrive, model
+import seven_axes
+from driving import CYCLE_S, PlainDrive, StackDrive, model
 
-from deltaq_controllers.modes.interface import Limit, from_verdict
-from deltaq_controllers.modes.motion import ModeName
+from deltaq_cell.robot import RobotModel
+from deltaq_controllers.interface import LastIncrement, RobotView
+from deltaq_controllers.modes.hands import Hands, displacement, turned
+from deltaq_controllers.modes.interface import Limit, Motion, from_verdict
+from deltaq_controllers.modes.teleoperator import Reflection, share_of
+from deltaq_deploy.command.drive_display import bar
+from deltaq_protocol.brake import brake_cycles, brake_increment
+from deltaq_protocol.driving import TELEOPERATION, DrivingMode
 from deltaq_protocol.messages import Outcome, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
 
-JOINT, DECOUPLED, SELF_MOTION, _, COUPLED = ModeName
+JOINT, DECOUPLED, SELF_MOTION, _, COUPLED = TELEOPERATION
 
 
 @pytest.mark.long
@@ -115,3 +125,190 @@ def test_every_reason_of_the_gate_has_a_kind() -> None:
         assert found.text
     admitted = Verdict(robot="gr", cycle=1, seq=1, outcome=Outcome.ADMITTED)
     assert from_verdict(admitted) is None
+
+
+# How much of what is asked for goes through, as an operator sees and feels it.
+
+
+def verdict(outcome: Outcome, scale: float) -> Verdict:
+    return Verdict(robot="gr", cycle=1, seq=1, outcome=outcome, scale=scale, dq=(0.0,) * 9)
+
+
+@pytest.mark.long
+def test_what_limits_is_reflected_and_speeding_up_is_not() -> None:
+    run = PlainDrive("gr", DrivingMode.JOINT)
+    shares = []
+    for _ in range(100):
+        run.drive(CYCLE_S, e1=0.1)
+        shares.append(run.teleoperator.reflection.share)
+    assert min(shares) == 1.0
+    run.drive(8.0, e1=0.5)
+    assert "limit" in run.driven.limitations[-1]
+    assert run.teleoperator.reflection.share < 0.01
+    run.drive(1.0)
+    assert run.teleoperator.reflection.share > 0.99, "nobody asks for anything"
+
+
+@pytest.mark.long
+def test_a_hand_that_is_slowed_down_on_its_line_is_told_by_how_much() -> None:
+    run = PlainDrive("fr", DrivingMode.COUPLED)
+    run.drive(0.5, x=-0.1)
+    assert run.teleoperator.reflection.share > 0.99
+    run.drive(6.0, x=-0.1)
+    assert run.driven.limitations[-1]
+    assert run.teleoperator.reflection.share < 0.05
+
+
+@pytest.mark.parametrize(
+    ("outcome", "scale", "share"), [(Outcome.SCALED, 0.25, 0.25), (Outcome.HELD, 0.0, 0.0)]
+)
+def test_what_the_gate_cuts_is_cut_from_what_the_mode_let_through(
+    outcome: Outcome, scale: float, share: float
+) -> None:
+    reflection = Reflection(CYCLE_S)
+    reflection.take_verdict(verdict(outcome, scale))
+    for _ in range(200):
+        reflection.take(1.0, True, False)
+    assert reflection.share == pytest.approx(share, abs=1e-3)
+    reflection.take_verdict(verdict(Outcome.ADMITTED, 1.0))
+    for _ in range(200):
+        reflection.take(0.5, True, False)
+    assert reflection.share == pytest.approx(1.0, abs=1e-3)
+
+
+def test_the_share_counts_along_what_is_asked_for_alone() -> None:
+    run = PlainDrive("gr", DrivingMode.JOINT)
+    hands = Hands(run.robot)
+    asked = Motion.rest(9, 1)
+    asked.joints[0] = 0.2
+    rates = np.zeros(9)
+    rates[:2] = 0.05, 9.0
+    assert share_of(asked, rates, hands) == pytest.approx(0.25)
+    assert share_of(asked, -rates, hands) == 0.0
+    assert share_of(Motion.rest(9, 1), rates, hands) == 1.0
+    hand = Motion.rest(9, 1)
+    hand.hands[0, 2] = 0.1
+    rates = np.linalg.pinv(hands.jacobian) @ np.array([0.5, 0.0, 0.04, 0.0, 0.0, 0.0])
+    assert share_of(hand, rates, hands) == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize(
+    ("share", "shown"), [(1.0, "[##########]"), (0.42, "[####......]"), (0.0, "[..........]")]
+)
+def test_a_bar_shows_the_share(share: float, shown: str) -> None:
+    assert bar(share) == shown
+
+
+MAX_DDQ = np.array([0.001, 0.002])
+
+
+def view(cycle: int, q_cmd: np.ndarray) -> RobotView:
+    return RobotView(cycle, 0.012 * cycle, q_cmd, q_cmd)
+
+
+def test_the_last_increment_is_the_difference_of_consecutive_setpoints() -> None:
+    last = LastIncrement(MAX_DDQ)
+    np.testing.assert_array_equal(last.update(view(7, np.array([1.0, 2.0]))), [0.0, 0.0])
+    np.testing.assert_allclose(last.update(view(8, np.array([1.1, 1.9]))), [0.1, -0.1])
+    np.testing.assert_allclose(last.update(view(8, np.array([1.1, 1.9]))), [0.1, -0.1])
+
+
+@pytest.mark.parametrize("missed", [1, 2, 5, 30])
+@pytest.mark.parametrize("dq", [[0.01, -0.004], [0.0005, 0.0], [0.0, 0.0]])
+def test_over_missed_cycles_the_robot_is_known_to_have_braked(missed: int, dq: list[float]) -> None:
+    last = LastIncrement(MAX_DDQ)
+    q, admitted = np.array([1.0, 2.0]), np.array(dq)
+    last.update(view(0, q))
+    cycles = brake_cycles(admitted, MAX_DDQ)
+    increments = [brake_increment(admitted, cycles, step) for step in range(missed + 1)]
+    found = last.update(view(missed + 1, q + np.sum(increments, axis=0)))
+    np.testing.assert_allclose(found, increments[-1], atol=1e-12)
+
+
+def test_a_server_that_starts_again_starts_from_rest() -> None:
+    last = LastIncrement(MAX_DDQ)
+    last.update(view(100, np.zeros(2)))
+    np.testing.assert_array_equal(last.update(view(1, np.ones(2))), [0.0, 0.0])
+
+
+def test_where_something_in_flight_was_lost_the_last_increment_is_still_the_same() -> None:
+    last, dq = LastIncrement(MAX_DDQ), np.array([0.01, 0.02])
+    last.update(view(4, np.array([1.0, 2.0])))
+    reckoned = view(5, np.array([1.0, 2.0]) + dq)
+    np.testing.assert_allclose(last.update(reckoned), dq)
+    for cycle in (5, 4):
+        np.testing.assert_allclose(last.update(view(cycle, np.array([1.0, 2.0]))), dq)
+
+
+def test_an_increment_under_way_counts_as_commanded() -> None:
+    last = LastIncrement(MAX_DDQ)
+    seen = view(4, np.array([1.0, 2.0]))
+    last.update(seen)
+    dq = np.array([0.01, 0.02])
+    ahead = seen.after(4, dq)
+    np.testing.assert_allclose(ahead.q_cmd, [1.01, 2.02])
+    np.testing.assert_allclose(last.update(ahead), dq)
+    np.testing.assert_array_equal(ahead.q, seen.q)
+
+
+# What is compiled of the hands' kinematics says what pinocchio says.
+
+
+ROUNDING = 1e-12
+
+
+def robot_named(name: str) -> RobotModel:
+    return seven_axes.cell().robots["fr"] if name == "seven" else model(name)
+
+
+@pytest.mark.parametrize("name", ["fr", "gr", "dawm", "seven"])
+def test_poses_and_jacobian_of_all_hands_are_pinocchios(name: str) -> None:
+    robot = robot_named(name)
+    hands, data = Hands(robot), robot.model.createData()
+    random = np.random.default_rng(0)
+    for _ in range(20):
+        q = random.uniform(robot.lower, robot.upper)
+        hands.update(q)
+        pin.computeJointJacobians(robot.model, data, q)
+        expected = []
+        for hand, rotation, position in zip(robot.hands, hands.rotations, hands.positions, strict=True):
+            frame = robot.frame_of(hand)
+            placed = pin.updateFramePlacement(robot.model, data, frame)
+            np.testing.assert_allclose(rotation, placed.rotation, atol=ROUNDING)
+            np.testing.assert_allclose(position, placed.translation, atol=ROUNDING)
+            expected.append(
+                pin.getFrameJacobian(robot.model, data, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+            )
+        np.testing.assert_allclose(hands.jacobian, np.vstack(expected), atol=ROUNDING)
+
+
+def test_placing_leaves_the_jacobian_as_it_is() -> None:
+    robot = model("gr")
+    hands = Hands(robot)
+    hands.update(robot.home)
+    before = hands.jacobian
+    hands.place(robot.home + 0.1)
+    np.testing.assert_array_equal(hands.jacobian, before)
+    np.testing.assert_allclose(hands.positions[0], robot.forward(robot.home + 0.1)[:3, 3], atol=ROUNDING)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-6, 0.3, 2.0, np.pi - 1e-5])
+def test_turning_and_what_turns_back_are_pinocchios(angle: float) -> None:
+    random = np.random.default_rng(1)
+    axes = np.array([pin.exp3(random.normal(size=3)) for _ in range(2)])
+    ways = random.normal(size=(2, 3))
+    ways *= angle / np.linalg.norm(ways, axis=1)[:, None]
+    there = turned(axes, ways)
+    for one, way, other in zip(axes, ways, there, strict=True):
+        np.testing.assert_allclose(other, pin.exp3(way) @ one, atol=ROUNDING)
+    positions = random.normal(size=(2, 2, 3))
+    found = displacement(axes, positions[0], there, positions[1])
+    np.testing.assert_allclose(found[:, :3], positions[1] - positions[0], atol=ROUNDING)
+    np.testing.assert_allclose(found[:, 3:], ways, atol=1e-9)
+
+
+def test_half_a_turn_is_told_as_one() -> None:
+    axes = np.eye(3)[None]
+    around = np.diag([-1.0, -1.0, 1.0])[None]
+    found = displacement(axes, np.zeros((1, 3)), around, np.zeros((1, 3)))
+    assert np.linalg.norm(found[0, 3:]) == pytest.approx(np.pi)

@@ -4,17 +4,26 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from advising import advised
+from pydantic import ValidationError
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.advisor.problem import AdvisorError
 from deltaq_controllers.camera.in_use import CameraInUse
 from deltaq_controllers.camera.outlook import Outlook
 from deltaq_controllers.interface import ControllerError, RobotView, View
-from deltaq_controllers.modes.motion import ModeName
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operated.pilot import Pilot
 from deltaq_controllers.operated.reach import ReachPlanner
-from deltaq_protocol.driving import DriverStage, DrivingMode, Wish
+from deltaq_protocol.driving import (
+    HAND_AXES,
+    REQUESTS,
+    Command,
+    DriverStage,
+    DrivingMode,
+    Frame,
+    Grip,
+    OperatorCommand,
+)
 from deltaq_protocol.messages import ViewWish
 
 CYCLE_S = 0.012
@@ -80,8 +89,15 @@ class Bench:
             self.wishes(option=option)
             self.cycles(10)
 
-    def wishes(self, **wish):
-        self.pilot.wish(Wish(**wish), self.now_s)
+    def wishes(self, joints=(), twist=(), hand="", **wish):
+        """Wish for speeds of joints in their order, for a twist, or for something else by name."""
+        axes = [f"{hand}.{axis}" if hand else axis for axis in HAND_AXES] if twist else self.robot.joint_names
+        rates = {axis: rate for axis, rate in zip(axes, twist or joints, strict=False) if rate}
+        self.pilot.take(OperatorCommand(rates, **wish), self.now_s)
+
+    def changes(self, mode, frame="world", grip=None):
+        """Another mode, with its axes and grip."""
+        self.pilot.take(OperatorCommand(mode=mode, frame=Frame(frame), grip=grip and Grip(grip)), self.now_s)
 
 
 JOG = (0.0, 0.0, 0.0, 0.0, 0.0, 0.2)
@@ -90,6 +106,15 @@ JOG = (0.0, 0.0, 0.0, 0.0, 0.0, 0.2)
 @pytest.fixture
 def bench():
     return Bench()
+
+
+def test_a_command_crosses_the_pipe_as_it_is_and_one_of_another_form_is_refused_by_its_field():
+    settings = (DrivingMode.COUPLED, Frame.TOOL, 3, {"gripper": True}, Grip.OBJECT, "left")
+    command = Command(id="1", command=OperatorCommand({"left.x": 0.1}, *settings))
+    assert REQUESTS.validate_json(command.model_dump_json()) == command
+    for wrong in ({"twist": [0.1]}, {"rates": {"x": "fast"}}, {"option": 0}, {"mode": "fly"}):
+        with pytest.raises(ValidationError, match=rf"command.command.{next(iter(wrong))}"):
+            REQUESTS.validate_python({"type": "command", "command": wrong})
 
 
 def test_without_a_wish_nothing_is_asked_for(bench):
@@ -139,7 +164,6 @@ def test_a_renewed_wish_goes_on(bench):
 @pytest.mark.parametrize(
     "wish",
     [
-        {"joints": (0.1,)},
         {"twist": (0.1, 0, 0, 0, 0, 0)},
         {"option": 1},
         {"hand": "left", "twist": (1, 0, 0, 0, 0, 0)},
@@ -165,7 +189,7 @@ def test_a_held_robot_does_not_go_on_after_the_reset(bench):
 
 def test_a_hand_is_moved_in_a_mode_that_drives_hands(bench):
     bench.pilot.prepare(DrivingMode.DECOUPLED)
-    bench.pilot.change_mode(DrivingMode.DECOUPLED, "world")
+    bench.changes(DrivingMode.DECOUPLED)
     before = bench.robot.forward(bench.q)[:3, 3]
     for _ in range(6):
         bench.wishes(twist=(0.0, 0.0, 0.05, 0.0, 0.0, 0.0))
@@ -194,11 +218,11 @@ def test_a_mode_that_could_not_be_prepared_is_refused_with_why_until_it_can_be()
         with pytest.raises(ControllerError, match="compiled"):
             bench.pilot.prepare(DrivingMode.FOLLOW)
         with pytest.raises(ControllerError, match="compiled"):
-            bench.pilot.change_mode(DrivingMode.FOLLOW, "world")
+            bench.changes(DrivingMode.FOLLOW)
     assert bench.pilot.report(DriverStage.FREE).mode is DrivingMode.JOINT
     compiled.append(True)
     bench.pilot.prepare(DrivingMode.FOLLOW)
-    bench.pilot.change_mode(DrivingMode.FOLLOW, "world")
+    bench.changes(DrivingMode.FOLLOW)
     assert bench.pilot.report(DriverStage.FREE).mode is DrivingMode.FOLLOW
 
 
@@ -208,7 +232,7 @@ def test_between_a_mode_and_the_follower_the_robot_is_at_rest():
     bench.wishes(joints=JOG)
     bench.cycles(10)
     bench.pilot.prepare(DrivingMode.FOLLOW)
-    bench.pilot.change_mode(DrivingMode.FOLLOW, "world")
+    bench.changes(DrivingMode.FOLLOW)
     # nothing is asked for: the gate's brake ends the motion
     assert bench.cycles(1) == [None]
     followed = bench.cycles(10)
@@ -217,7 +241,7 @@ def test_between_a_mode_and_the_follower_the_robot_is_at_rest():
         bench.wishes(joints=JOG)
     bench.pilot.take_view(ViewWish(distance_m=1.7))
     assert bench.pilot.report(DriverStage.LEASED).distance_m == 1.7
-    bench.pilot.change_mode(DrivingMode.JOINT, "tool")
+    bench.changes(DrivingMode.JOINT, "tool")
     assert bench.cycles(1) == [None]
     bench.wishes(joints=JOG)
     moved = [dq for dq in bench.cycles(15) if dq is not None]
@@ -236,12 +260,12 @@ def test_a_view_that_was_wished_for_before_is_what_the_camera_follows_with():
 def test_a_stop_ends_the_following():
     bench = Bench(follower)
     bench.pilot.prepare(DrivingMode.FOLLOW)
-    bench.pilot.change_mode(DrivingMode.FOLLOW, "world")
+    bench.changes(DrivingMode.FOLLOW)
     bench.cycles(5)
     assert bench.pilot.is_following
     bench.pilot.held()
     assert bench.cycles(5)[-1] is None
-    assert bench.pilot.report(DriverStage.LEASED).mode is DrivingMode(ModeName.JOINT.value)
+    assert bench.pilot.report(DriverStage.LEASED).mode is DrivingMode(DrivingMode.JOINT.value)
 
 
 RISE_M = 0.1
@@ -259,7 +283,7 @@ def planned(bench):
 
 def in_mode_pose(bench):
     bench.pilot.prepare(DrivingMode.POSE)
-    bench.pilot.change_mode(DrivingMode.POSE, "world")
+    bench.changes(DrivingMode.POSE)
     bench.cycles(2)
 
 
@@ -304,7 +328,7 @@ def test_a_way_is_forgotten_with_its_mode(bench, planned):
     bench.pilot.take_reach(planned)
     assert bench.pilot.ways().ways == (planned.way,)
     bench.goes(30)
-    bench.pilot.change_mode(DrivingMode.JOINT, "world")
+    bench.changes(DrivingMode.JOINT)
     assert bench.cycles(1) == [None], "the gate's brake ends the motion"
     assert bench.pilot.ways().ways == ()
     bench.cycles(2)
@@ -331,7 +355,7 @@ def test_the_advisor_is_asked_in_its_mode_only(bench):
 )
 def test_a_trade_off_that_is_none_is_refused_and_nothing_is_looked_for(names, told):
     bench = Bench(teleoperator=advised(CellModel.load("lab").robots["gr"]))
-    bench.pilot.change_mode(DrivingMode.ADVISOR, "world")
+    bench.changes(DrivingMode.ADVISOR)
     bench.cycles(20)
     ways = bench.pilot.ways()
     with pytest.raises(ControllerError, match=told):
@@ -343,7 +367,7 @@ def test_a_trade_off_that_is_none_is_refused_and_nothing_is_looked_for(names, to
 @pytest.mark.nightly
 def test_options_of_a_trade_off_are_a_front_of_its_criteria_until_it_is_asked_for_without():
     bench = Bench(teleoperator=advised(CellModel.load("lab").robots["gr"]))
-    bench.pilot.change_mode(DrivingMode.ADVISOR, "world")
+    bench.changes(DrivingMode.ADVISOR)
     bench.cycles(20)
     assert bench.pilot.report(DriverStage.LEASED).search.trade_off is None
     names = ("travel", "compliance")
@@ -362,7 +386,7 @@ def test_options_of_a_trade_off_are_a_front_of_its_criteria_until_it_is_asked_fo
 @pytest.mark.long
 def test_an_arm_without_a_joint_to_spare_is_advised_on_as_long_as_its_hand_may_leave_its_pose():
     bench = Bench(teleoperator=advised(CellModel.load("lab").robots["fr"], hands_may_leave=True))
-    bench.pilot.change_mode(DrivingMode.ADVISOR, "world")
+    bench.changes(DrivingMode.ADVISOR)
     bench.cycles(5)
     assert bench.pilot.report(DriverStage.LEASED).search.hands_may_leave
     assert any(way.hands_leave for way in bench.pilot.ways().ways)
@@ -376,7 +400,7 @@ def test_an_arm_without_a_joint_to_spare_is_advised_on_as_long_as_its_hand_may_l
 def test_options_are_offered_driven_to_cancelled_and_asked_for_again():
     gr = CellModel.load("lab").robots["gr"]
     bench = Bench(teleoperator=advised(gr))
-    bench.pilot.change_mode(DrivingMode.ADVISOR, "world")
+    bench.changes(DrivingMode.ADVISOR)
     bench.cycles(20)
     ways = bench.pilot.ways()
     assert [way.rank for way in ways.ways] == [1, 2, 3]

@@ -1,16 +1,19 @@
 """An operated robot whose hands hold an object, or whose hand a master leads; the bad case first."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from driving import CYCLE_S, PlainDrive, model
 from test_operated import Bench
 
+from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.advisor.exact import ExactClearance
 from deltaq_controllers.interface import ControllerError, RobotView
 from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.motion import ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
-from deltaq_controllers.operated.wishes import LedByWishes
-from deltaq_protocol.driving import DriverStage, DrivingMode
+from deltaq_controllers.operated.reach import STEP, ReachPlanner
+from deltaq_controllers.operator_input.master import Master
+from deltaq_protocol.driving import DriverStage, DrivingMode, OperatorCommand
 
 COUPLED, JOINT = DrivingMode.COUPLED, DrivingMode.JOINT
 TURN = (0.0, 0.0, 0.02, 0.0, 0.0, 0.3)
@@ -18,14 +21,14 @@ KEPT_M = 5e-6
 
 
 def two_hands():
-    bench = Bench(teleoperator=Teleoperator(model("dawm"), CYCLE_S, ModeName.COUPLED))
+    bench = Bench(teleoperator=Teleoperator(model("dawm"), CYCLE_S, DrivingMode.COUPLED))
     bench.cycles(2)
     return bench
 
 
 def holding():
     bench = two_hands()
-    bench.pilot.change_mode(COUPLED, "world", "object")
+    bench.changes(COUPLED, grip="object")
     bench.cycles(20)
     return bench
 
@@ -53,7 +56,7 @@ def test_a_robot_with_one_hand_holds_no_object_and_stays_in_its_mode():
     bench = Bench()
     for mode in (COUPLED, JOINT, DrivingMode.POSE, DrivingMode.FOLLOW):
         with pytest.raises(ControllerError, match="robot fr has one hand"):
-            bench.pilot.change_mode(mode, "tool", "object")
+            bench.changes(mode, "tool", "object")
     assert (report(bench).mode, report(bench).frame, report(bench).grip) == (JOINT, "world", "free")
 
 
@@ -62,7 +65,7 @@ def test_a_robot_with_one_hand_holds_no_object_and_stays_in_its_mode():
 def test_a_mode_that_would_part_the_hands_is_refused_and_the_object_stays_held(mode, grip):
     bench = holding()
     with pytest.raises(ControllerError, match=f"mode {mode.value} .*would part.*grip free first"):
-        bench.pilot.change_mode(mode, "tool", grip)
+        bench.changes(mode, "tool", grip)
     told = report(bench)
     assert (told.mode, told.frame, told.grip) == (COUPLED, "world", "object")
     assert told.hands_off is not None
@@ -73,7 +76,7 @@ def test_a_mode_that_would_part_the_hands_is_refused_and_the_object_stays_held(m
     [
         ({"hand": "left", "twist": TURN}, "moves one hand alone, and the hands hold an object"),
         ({"hand": "third", "twist": TURN}, "'third.z' is unknown"),
-        ({"hand": "left", "led": True}, "no master was chosen"),
+        ({"led": "left"}, "no master was chosen"),
     ],
 )
 def test_a_wish_for_one_hand_or_for_none_moves_nothing(wish, told):
@@ -87,7 +90,7 @@ def test_an_object_is_taken_at_rest_moved_as_one_and_let_go():
     bench = two_hands()
     apart = between(bench)
     wishes_on(bench, 10, twist=(0.05, 0.0, 0.0, 0.0, 0.0, 0.0))
-    bench.pilot.change_mode(COUPLED, "world", "object")
+    bench.changes(COUPLED, grip="object")
     assert report(bench).hands_off is None, "it is taken at rest"
     bench.cycles(60)
     assert report(bench).hands_off.distance_m == 0.0
@@ -95,14 +98,14 @@ def test_an_object_is_taken_at_rest_moved_as_one_and_let_go():
     bench.cycles(60)
     assert between(bench) == pytest.approx(apart, abs=KEPT_M)
     assert (report(bench).grip, report(bench).hands_off.distance_m) == ("object", 0.0)
-    bench.pilot.change_mode(JOINT, "world", "free")
+    bench.changes(JOINT, grip="free")
     bench.cycles(30)
     assert (report(bench).grip, report(bench).hands_off) == ("free", None)
 
 
 def test_who_says_nothing_of_the_grip_lets_nothing_go():
     bench = holding()
-    bench.pilot.change_mode(DrivingMode.DECOUPLED, "tool")
+    bench.changes(DrivingMode.DECOUPLED, "tool")
     bench.cycles(30)
     assert report(bench).grip == "object"
     assert report(bench).hands_off is not None
@@ -128,14 +131,14 @@ def test_hands_that_were_moved_by_others_are_not_drawn_together_again(between_th
 class Led:
     """`gr` operated, and `fr` as its master, which somebody else drives."""
 
-    def __init__(self, mode=ModeName.COUPLED):
-        self.leader = PlainDrive("fr", ModeName.COUPLED)
+    def __init__(self, mode=DrivingMode.COUPLED):
+        self.leader = PlainDrive("fr", DrivingMode.COUPLED)
         self.bench = Bench(teleoperator=Teleoperator(model("gr"), CYCLE_S, mode), make_led=self._led)
         self.is_seen, self._cycle = True, 0
         self.bench.cycles(2)
 
     def _led(self, name, scale):
-        return LedByWishes(self.bench.pilot._teleoperator, model(name), self._look, scale)
+        return Master(self.bench.pilot._teleoperator, model(name), self._look, scale)
 
     def _look(self):
         self._cycle += self.is_seen
@@ -154,7 +157,7 @@ class Led:
         return self.bench.robot.forward(self.bench.q)[:3, 3]
 
 
-HELD = {"led": True}
+HELD = {"led": ""}
 
 
 def test_a_robot_that_would_lead_itself_is_no_master_and_the_one_before_stays():
@@ -169,10 +172,10 @@ def test_a_robot_that_would_lead_itself_is_no_master_and_the_one_before_stays():
 def test_in_a_mode_without_hands_nothing_is_led(mode):
     led = Led()
     led.bench.pilot.wishes.choose_master("fr", 1.0)
-    led.bench.pilot.change_mode(mode, "world")
+    led.bench.changes(mode)
     led.bench.cycles(20)
     with pytest.raises(ControllerError, match=mode.value):
-        led.bench.wishes(led=True)
+        led.bench.wishes(led="")
     assert led.bench.cycles(10)[-1] is None
 
 
@@ -210,3 +213,84 @@ def test_a_master_that_is_lost_lets_go_until_it_is_coupled_anew():
     led.drive(50)
     led.drive(50, HELD, z=0.1)
     assert led.hand()[2] > rested[2] + 0.02
+
+
+# The way to a pose of a hand, and how far it is clear; the bad case first.
+
+
+LAB = CellModel.load("lab")
+DAWM = CellModel.load("dawm")
+HOMES = {name: robot.home for name, robot in LAB.robots.items()}
+
+
+def pose_of(robot, q, hand="tool", move_m=(0.0, 0.0, 0.0)):
+    T = robot.forward(q, hand)
+    turn = pin.Quaternion(T[:3, :3])
+    return tuple((T[:3, 3] + move_m).tolist()), (turn.w, turn.x, turn.y, turn.z)
+
+
+def plan(name, move_m, cell=LAB, hand=""):
+    robot = cell.robots[name]
+    place, turn = pose_of(robot, robot.home, hand or "tool", move_m)
+    others = {other: model.home for other, model in cell.robots.items() if other != name}
+    return ReachPlanner(CellModel.load(cell.description.cell), name).plan(
+        robot.home, others, hand, place, turn
+    )
+
+
+@pytest.mark.parametrize("name", ["fr", "gr"])
+def test_a_pose_out_of_reach_is_told(name):
+    with pytest.raises(ControllerError, match="out of reach"):
+        plan(name, (9.0, 0.0, 0.0))
+
+
+def test_a_hand_that_is_not_there_and_a_turn_that_is_none_are_told():
+    with pytest.raises(ControllerError, match="has no hand 'left'; it has tool"):
+        ReachPlanner(LAB, "fr").plan(HOMES["fr"], {}, "left", (1.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0))
+    with pytest.raises(ControllerError, match="not a rotation"):
+        ReachPlanner(LAB, "fr").plan(HOMES["fr"], {}, "", (1.0, 0.0, 1.0), (0.0, 0.0, 0.0, 0.0))
+
+
+def test_a_way_into_a_body_is_clear_only_up_to_it():
+    tank = next(body for body in LAB.structure if "tank" in body.name)
+    gr = LAB.robots["gr"]
+    way = plan("gr", tank.placement.translation - gr.forward(gr.home)[:3, 3]).way
+    assert 0.0 < way.clear < 1.0
+    assert "clear for" in way.text
+    # measured by other code than that which looked for it
+    exact = ExactClearance(LAB, "gr", HOMES)
+    start, end = gr.home, np.array(way.q)
+    pieces = int(np.ceil(np.abs(end - start).max() / STEP))
+    at = round(way.clear * (pieces + 1))
+    rooms = [exact.measure(start + k / pieces * (end - start)).room_m for k in (at - 1, at)]
+    assert rooms[0] > 0.0 >= rooms[1] - 1e-4
+
+
+@pytest.mark.parametrize(
+    ("name", "move_m"), [("fr", (0.1, -0.2, 0.1)), ("gr", (0.2, 0.0, 0.1)), ("gr", (0.0, -1.2, 0.0))]
+)
+def test_the_way_ends_with_the_hand_at_the_pose(name, move_m):
+    robot = LAB.robots[name]
+    way = plan(name, move_m).way
+    expected = robot.forward(robot.home)
+    expected[:3, 3] += move_m
+    np.testing.assert_allclose(robot.forward(np.array(way.q)), expected, atol=1e-4)
+    assert (np.array(way.q) >= robot.lower).all()
+    assert (np.array(way.q) <= robot.upper).all()
+    np.testing.assert_allclose(way.points[0], robot.home, atol=1e-5)
+    assert np.abs(way.first).max() > 0.0
+
+
+def test_one_hand_of_two_is_brought_there_and_the_other_stays():
+    robot = DAWM.robots["dawm"]
+    moved, kept = robot.hands[:2]
+    way = plan("dawm", (0.0, 0.0, 0.05), DAWM, moved).way
+    q = np.array(way.q)
+    np.testing.assert_allclose(robot.forward(q, kept), robot.forward(robot.home, kept), atol=1e-4)
+    assert robot.forward(q, moved)[2, 3] - robot.forward(robot.home, moved)[2, 3] == pytest.approx(
+        0.05, abs=1e-4
+    )
+    with pytest.raises(ControllerError, match="has no hand"):
+        ReachPlanner(CellModel.load("dawm"), "dawm").plan(
+            robot.home, {}, "", *pose_of(robot, robot.home, moved)
+        )

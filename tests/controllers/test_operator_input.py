@@ -1,26 +1,36 @@
+""""""
+
 from __future__ import annotations
 
 import os
 import pty
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 from advising import advised
-from driving import CYCLE_S, model
+from driving import CYCLE_S, PlainDrive, model
 
 from deltaq_controllers.interface import ControllerError
-from deltaq_controllers.modes.motion import Frame, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
-from deltaq_controllers.operator_input.keyboard import FIRST_REPEAT_S, TAP_SHARE, Keyboard
+from deltaq_controllers.operator_input.keyboard import (
+    FIRST_REPEAT_S,
+    HOLD_S,
+    TAP_S,
+    TAP_SHARE,
+    HeldKey,
+    Keyboard,
+)
 from deltaq_controllers.operator_input.script import Script
+from deltaq_protocol.driving import DrivingMode, Frame, Grip, OperatorCommand
 
 
-def teleoperator(robot: str = "gr", mode: ModeName = ModeName.JOINT) -> Teleoperator:
+def teleoperator(robot: str = "gr", mode: DrivingMode = DrivingMode.JOINT) -> Teleoperator:
     return Teleoperator(model(robot), CYCLE_S, mode)
 
 
-def script(folder: Path, text: str, mode: ModeName = ModeName.JOINT) -> Script:
+def script(folder: Path, text: str, mode: DrivingMode = DrivingMode.JOINT) -> Script:
     file = folder / "task.yaml"
     file.write_text(text, encoding="utf-8")
     return Script.load(file, teleoperator(mode=mode))
@@ -79,7 +89,7 @@ def test_a_script_gives_its_steps_in_si_units_one_after_the_other_from_its_first
     assert steps.read(100.0) == OperatorCommand({"a1": pytest.approx(np.pi / 2), "e1": pytest.approx(0.02)})
     assert steps.read(100.99) == steps.read(100.5)
     assert steps.read(101.0) == OperatorCommand()
-    assert steps.read(101.5) == OperatorCommand({"x": 0.1}, ModeName.COUPLED, Frame.TOOL)
+    assert steps.read(101.5) == OperatorCommand({"x": 0.1}, DrivingMode.COUPLED, Frame.TOOL)
     assert steps.read(103.5) is None
 
 
@@ -95,7 +105,7 @@ def test_a_step_switches_outputs_and_the_next_leaves_them_as_they_are(tmp_path: 
 def test_a_robot_without_outputs_says_so() -> None:
     operator = teleoperator("fr")
     with pytest.raises(ControllerError, match="output 'gripper' is unknown; robot fr has no outputs"):
-        operator.check(OperatorCommand(outputs={"gripper": True}), ModeName.JOINT)
+        operator.check(OperatorCommand(outputs={"gripper": True}), DrivingMode.JOINT)
     terminal = Terminal(operator)
     with terminal.keyboard:
         assert terminal.press("g.,", 1.0) == OperatorCommand()
@@ -153,7 +163,7 @@ SLOW = pytest.approx(0.1 * TAP_SHARE)
 
 
 def test_a_tapped_key_moves_slowly_for_a_while_and_hands_off_is_rest() -> None:
-    terminal = Terminal(teleoperator(mode=ModeName.COUPLED))
+    terminal = Terminal(teleoperator(mode=DrivingMode.COUPLED))
     with terminal.keyboard:
         assert terminal.press("w", 10.0) == OperatorCommand({"x": SLOW})
         assert terminal.press("", 10.0 + 0.9 * FIRST_REPEAT_S) == OperatorCommand({"x": SLOW})
@@ -178,15 +188,15 @@ def test_arrows_choose_and_drive_a_joint_even_when_their_sequence_is_torn() -> N
 
 
 def test_keys_go_round_the_modes_that_the_robot_has_and_its_hands() -> None:
-    operator = teleoperator("fr", ModeName.DECOUPLED)
+    operator = teleoperator("fr", DrivingMode.DECOUPLED)
     terminal = Terminal(operator)
     with terminal.keyboard:
         assert terminal.press("m", 1.0) == OperatorCommand(
-            mode=ModeName.COUPLED
+            mode=DrivingMode.COUPLED
         )  # not redundant: no self-motion
         assert terminal.press("t", 1.0) == OperatorCommand(frame=Frame.TOOL)
     terminal.close()
-    terminal = Terminal(teleoperator("dawm", ModeName.COUPLED))
+    terminal = Terminal(teleoperator("dawm", DrivingMode.COUPLED))
     with terminal.keyboard:
         assert terminal.press("h r", 1.0) == OperatorCommand({"left.z": SLOW}, grip=Grip.FREE)
         assert terminal.press("h r", 1.0) == OperatorCommand({"right.z": SLOW}, grip=Grip.FREE)
@@ -196,7 +206,7 @@ def test_keys_go_round_the_modes_that_the_robot_has_and_its_hands() -> None:
 
 
 def test_a_key_switches_the_chosen_output_on_another_one_off_and_the_hand_stops_meanwhile() -> None:
-    terminal = Terminal(teleoperator(mode=ModeName.COUPLED))
+    terminal = Terminal(teleoperator(mode=DrivingMode.COUPLED))
     with terminal.keyboard:
         assert terminal.press("w", 1.0) == OperatorCommand({"x": SLOW})
         assert terminal.press(".", 1.1) == OperatorCommand(outputs={"gripper": True})
@@ -215,7 +225,7 @@ def test_a_digit_goes_to_an_option_of_the_advisor_until_any_other_key_is_pressed
         assert terminal.press("", 9.0) == OperatorCommand(option=2)
         assert terminal.press(" ", 9.1) == OperatorCommand()
         assert terminal.press("3", 9.2) == OperatorCommand(option=3)
-        assert terminal.press("m", 9.3) == OperatorCommand(mode=ModeName.COUPLED)
+        assert terminal.press("m", 9.3) == OperatorCommand(mode=DrivingMode.COUPLED)
     terminal.close()
     terminal = Terminal(teleoperator())
     with terminal.keyboard:
@@ -229,3 +239,94 @@ def test_a_keyboard_without_a_terminal_says_what_to_use() -> None:
         Keyboard(teleoperator(), read).__enter__()
     os.close(read)
     os.close(write)
+
+
+# Keys as terminals repeat them, driven in virtual time.
+
+
+SPEED_M_S = 0.1
+
+REPEATS = {
+    "a PC's own": (0.5, 1 / 10.9),
+    "X11": (0.66, 1 / 25),
+    "GNOME": (0.5, 1 / 33),
+    "macOS, quickest": (0.225, 1 / 30),
+    "Windows, quickest": (0.25, 1 / 31),
+}
+"""Seconds from the press to the first repeat, and between repeats, as desktops are set."""
+
+
+def repeated(delay_s: float, interval_s: float, held_s: float) -> list[float]:
+    """When a terminal tells of a key that is held from 0 for a time, a few milliseconds early or late."""
+    jitter = np.random.default_rng(3).uniform(-0.005, 0.005, 1000)
+    repeats = np.arange(delay_s, held_s, interval_s)
+    return [0.0, *(repeats + jitter[: len(repeats)]).tolist()]
+
+
+def driven(presses: Sequence[float], until_s: float) -> np.ndarray:
+    """(T, 3) where the hand is commanded to be in every cycle, with key w pressed at these times."""
+    keys, terminal = pty.openpty()
+    drive = PlainDrive("gr", DrivingMode.COUPLED)
+    waiting, places = list(presses), []
+    with Keyboard(drive.teleoperator, terminal, SPEED_M_S) as keyboard:
+        for cycle in range(round(until_s / CYCLE_S)):
+            time_s = cycle * CYCLE_S
+            while waiting and waiting[0] <= time_s:
+                os.write(keys, b"w")
+                waiting.pop(0)
+            command = keyboard.read(time_s)
+            assert command is not None
+            drive.step(command)
+            places.append(drive.robot.forward(drive.now)[:3, 3])
+    os.close(keys)
+    os.close(terminal)
+    assert drive.violations == 0
+    return np.array(places)
+
+
+def speeds(places: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(np.diff(places, axis=0), axis=1) / CYCLE_S
+
+
+def test_a_tap_moves_by_as_much_as_full_speed_in_a_tenth_of_a_second() -> None:
+    places = driven([0.0], 2.0)
+    assert np.linalg.norm(places[-1] - places[0]) == pytest.approx(SPEED_M_S * TAP_S, rel=0.05)
+    assert speeds(places).max() < 0.2 * SPEED_M_S
+
+
+@pytest.mark.parametrize("setting", REPEATS)
+def test_a_held_key_moves_without_a_pause_and_stops_soon_after_it_is_let_go(setting: str) -> None:
+    presses = repeated(*REPEATS[setting], held_s=2.0)
+    places = driven(presses, 3.0)
+    speed = speeds(places)
+    last = presses[-1]
+    held = speed[round(0.1 / CYCLE_S) : round(last / CYCLE_S)]
+    assert held.min() > 0.1 * SPEED_M_S, "it never stands while the key is held"
+    assert speed[round(1.2 / CYCLE_S) : round(last / CYCLE_S)].min() > 0.95 * SPEED_M_S
+    released = round(last / CYCLE_S)
+    assert np.linalg.norm(places[-1] - places[released]) < SPEED_M_S * (HOLD_S + 0.05)
+    assert speed[-1] < 1e-6
+
+
+def test_two_taps_are_no_hold_and_the_next_key_begins_anew() -> None:
+    key = HeldKey()
+    for time_s in (0.0, 0.5):
+        key.press("w", time_s)
+        assert 0.0 < key.share(time_s) < 0.2
+    assert key.share(0.5 + HOLD_S) == 0.0
+    for time_s in (1.0, 1.5, 1.53):
+        key.press("w", time_s)
+    assert key.share(1.6) == 1.0
+    key.press("s", 1.6)
+    assert 0.0 < key.share(1.6 + 0.9 * FIRST_REPEAT_S) < 0.2
+    key.release()
+    assert key.share(1.7) == 0.0
+
+
+def test_a_key_pressed_again_after_a_hold_begins_anew() -> None:
+    key = HeldKey()
+    for time_s in (0.0, 0.5, 0.53, 0.56):
+        key.press("w", time_s)
+    assert key.share(0.56 + HOLD_S) == 0.0
+    key.press("w", 0.9)
+    assert 0.0 < key.share(0.9 + 0.9 * FIRST_REPEAT_S) < 0.2

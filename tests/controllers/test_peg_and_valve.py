@@ -10,7 +10,6 @@ import pytest
 from typer.testing import CliRunner
 
 from deltaq_controllers.interface import ControllerError
-from deltaq_controllers.modes.motion import HAND_AXES, ModeName, OperatorCommand
 from deltaq_deploy.command.app import app
 from deltaq_experiments.peg_and_valve import (
     OPERATORS,
@@ -32,6 +31,7 @@ from deltaq_experiments.peg_and_valve_operators import (
     Slip,
 )
 from deltaq_experiments.peg_and_valve_summary import CONCLUSIONS, by_mode, distributions
+from deltaq_protocol.driving import HAND_AXES, DrivingMode, OperatorCommand
 from studies.peg_and_valve_page import PAGE, main, page
 
 CYCLE_S = 0.012
@@ -130,7 +130,7 @@ def test_noise_grows_with_the_command_and_is_there_in_every_axis_of_the_stick() 
 def test_one_action_in_fifty_goes_wrong_and_is_noticed_one_reaction_later() -> None:
     person = Person(noise=0.0)
     hand = OperatorHand(person, CYCLE_S, np.random.default_rng(2))
-    meant, seconds = OperatorCommand({"x": 0.1, "y": 0.0}, ModeName.COUPLED), 2400.0
+    meant, seconds = OperatorCommand({"x": 0.1, "y": 0.0}, DrivingMode.COUPLED), 2400.0
     wrong = [hand.done(meant, STICK, 0) != meant for _ in range(round(seconds / CYCLE_S))]
     slips = sum(hand.slips.values())
     assert slips == pytest.approx(SLIP * seconds / ACTION_S, rel=0.35)

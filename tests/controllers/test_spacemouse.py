@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from test_operator_input import Terminal
 
 from deltaq_controllers.interface import ControllerError
-from deltaq_controllers.modes.motion import HAND_AXES, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.interface import DEAD_ZONE
 from deltaq_controllers.operator_input.spacemouse import (
@@ -30,6 +29,7 @@ from deltaq_controllers.operator_input.spacemouse import (
     SpaceMouse,
     is_spacemouse,
 )
+from deltaq_protocol.driving import HAND_AXES, DrivingMode, OperatorCommand
 
 RIGHT, BACK, DOWN = (FULL, 0, 0), (0, FULL, 0), (0, 0, FULL)
 NOTHING = (0, 0, 0)
@@ -207,7 +207,7 @@ def mouse(terminal: Terminal, operator: Teleoperator) -> SpaceMouse:
 
 
 def test_the_cap_moves_the_hand_only_while_the_left_button_is_held() -> None:
-    operator = Teleoperator(model("dawm"), CYCLE_S, ModeName.COUPLED)
+    operator = Teleoperator(model("dawm"), CYCLE_S, DrivingMode.COUPLED)
     terminal, cap = Terminal(operator), Cap()
     device = mouse(terminal, operator)
     keys = OperatorCommand()
@@ -224,11 +224,11 @@ def test_the_cap_moves_the_hand_only_while_the_left_button_is_held() -> None:
 
 
 def test_in_modes_of_joints_pushing_ahead_drives_the_joint_that_is_chosen() -> None:
-    operator = Teleoperator(model("gr"), CYCLE_S, ModeName.JOINT)
+    operator = Teleoperator(model("gr"), CYCLE_S, DrivingMode.JOINT)
     terminal, cap = Terminal(operator), Cap()
     device = mouse(terminal, operator)
     command = device.moved(OperatorCommand(), cap.look(translation((0, -FULL, 0)), buttons(RUN)))
-    assert command == OperatorCommand({"e1": pytest.approx(0.1)})
+    assert command == OperatorCommand({"e1": pytest.approx(0.1)}, led="")
     terminal.close()
 
 

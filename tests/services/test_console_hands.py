@@ -102,8 +102,7 @@ def test_a_hand_does_not_leave_the_object_that_both_hold(dawm):
     words = refused(bench, desk, "jog", robot="dawm", hand="left", wish=TWIST)
     assert "the hands hold an object" in words
     assert desk.send("jog", robot="dawm", hand="*", wish=TWIST).outcome is DONE
-    wish = bench.driver_requests("dawm")[-1]
-    assert (wish.hand, wish.twist) == ("", tuple(TWIST))
+    assert bench.driver_requests("dawm")[-1].command == driving.OperatorCommand({"x": 0.1})
 
 
 def test_what_the_driver_refuses_is_told_and_counted(dawm):
@@ -117,9 +116,9 @@ def test_what_the_driver_refuses_is_told_and_counted(dawm):
 def test_a_grip_reaches_the_driver_and_how_the_object_is_held_is_told(dawm):
     bench, desk = dawm
     assert desk.send("mode", robot="dawm", **HOLD).outcome is ASKED
-    assert bench.driver_requests("dawm")[-1].grip == "object"
+    assert bench.driver_requests("dawm")[-1].command.grip == "object"
     assert desk.send("mode", robot="dawm", mode="decoupled").outcome is ASKED
-    assert bench.driver_requests("dawm")[-1].grip is None, "who says nothing lets nothing go"
+    assert bench.driver_requests("dawm")[-1].command.grip is None, "who says nothing lets nothing go"
     off = driving.HandsOff(distance_m=0.0004, angle_rad=0.001)
     assert desk.status().robots["dawm"].goes_through == 1.0, "nothing was told"
     reports(bench, grip="object", hands_off=off, goes_through=0.3)
@@ -129,9 +128,9 @@ def test_a_grip_reaches_the_driver_and_how_the_object_is_held_is_told(dawm):
 
 def test_a_hand_of_several_is_jogged_by_its_name(dawm):
     bench, desk = dawm
-    for hand, known in (("left", "left"), ("right", "right"), ("*", "")):
+    for hand, axis in (("left", "left.x"), ("right", "right.x"), ("*", "x")):
         assert desk.send("jog", robot="dawm", hand=hand, wish=TWIST).outcome is DONE
-        assert bench.driver_requests("dawm")[-1].hand == known
+        assert bench.driver_requests("dawm")[-1].command == driving.OperatorCommand({axis: 0.1})
 
 
 def test_a_master_is_chosen_couples_while_it_is_held_and_is_told(lab):
@@ -144,5 +143,4 @@ def test_a_master_is_chosen_couples_while_it_is_held_and_is_told(lab):
     assert (told.master, told.master_scale) == ("gr", 0.5)
     assert "wish" in refused(bench, desk, "jog", robot="fr", led=True, wish=[0.1] * 6)
     assert desk.send("jog", robot="fr", led=True, hand="tool").outcome is DONE
-    wish = bench.driver_requests("fr")[-1]
-    assert (wish.led, wish.hand, wish.twist) == (True, "", None)
+    assert bench.driver_requests("fr")[-1].command == driving.OperatorCommand(led="")

@@ -71,7 +71,7 @@ def test_it_is_handed_over_when_it_is_asked_for_and_granted(bench, desk, tower):
     assert lease(desk, "grant").outcome is DONE
     # it comes to rest first, and in between nobody moves it
     assert isinstance(bench.driver_requests()[-1], driving.Release)
-    assert bench.driver_requests()[-2] == driving.Wish()
+    assert bench.driver_requests()[-2] == driving.Command()
     for browser in (desk, tower):
         assert browser.send("jog", **JOG).outcome is REFUSED
     bench.driver_answers()
@@ -100,7 +100,7 @@ def test_only_one_asks_at_a_time(bench, desk, tower):
 def test_what_a_browser_drove_rests_and_is_released_when_it_has_gone(bench, desk, tower):
     bench.done(bench.core.disconnect(desk.client, bench.now_s))
     rest, release = bench.driver_requests()[-2:]
-    assert rest == driving.Wish()
+    assert rest == driving.Command()
     assert isinstance(release, driving.Release)
     assert lease(tower, "take").outcome is REFUSED
     bench.driver_answers()
@@ -157,14 +157,14 @@ def test_mode_and_outputs_reach_the_driver(bench):
     desk.takes("gr")
     desk.send("mode", id="m", robot="fr", mode="follow", frame="tool")
     desk.send("output", id="o", robot="gr", index=1, value=True)
-    change = bench.driver_requests()[-1]
+    change = bench.driver_requests()[-1].command
     assert (change.mode, change.frame) == ("follow", "tool")
-    assert bench.driver_requests("gr")[-1].outputs == {"tool_changer": True}
+    assert bench.driver_requests("gr")[-1].command.outputs == {"tool_changer": True}
     assert desk.acks("o")[-1].outcome is ASKED
     desk.hears(bench.driver_answers("gr", done=False, text="held"))
     assert desk.acks("o")[-1].text == "held"
     desk.send("jog", robot="gr", hand="tool", wish=[0, 0, 0.1, 0, 0, 0])
-    assert bench.driver_requests("gr")[-1].twist == (0, 0, 0.1, 0, 0, 0)
+    assert bench.driver_requests("gr")[-1].command.rates == {"z": 0.1}
 
 
 def test_a_view_distance_is_for_whoever_follows_and_needs_no_seat(bench):
@@ -299,7 +299,7 @@ def test_another_session_name_or_role_does_not_come_back_to_the_robots_of_one_th
 
 def test_a_page_that_is_loaded_anew_keeps_name_and_robot_which_rests_meanwhile(bench, anna):
     goes(bench, anna)
-    assert bench.driver_requests()[-1] == driving.Wish()
+    assert bench.driver_requests()[-1] == driving.Command()
     watcher = comes(bench, "s2", "Bea")
     assert watcher.status(AWAY_S - 0.1).robots["fr"].lease.holder == "Anna"
     again = comes(bench, "s1")

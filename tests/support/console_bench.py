@@ -48,7 +48,7 @@ class ConsoleBench:
 
     def driver_answers(self, robot="fr", done=True, text=""):
         """The driver answers the newest request that has an id."""
-        request = [each for each in self.driver_requests(robot) if not isinstance(each, driving.Wish)][-1]
+        request = [each for each in self.driver_requests(robot) if each.id is not None][-1]
         answer = driving.DriverAnswer(id=request.id, done=done, text=text)
         return self.done(self.core.drivers.said(robot, answer, self.now_s))
 

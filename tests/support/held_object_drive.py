@@ -12,10 +12,10 @@ import numpy as np
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.modes.hands import Hands, HeldObject
-from deltaq_controllers.modes.motion import HAND_AXES, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles
+from deltaq_protocol.driving import HAND_AXES, DrivingMode, Grip, OperatorCommand
 
 DIRECTIONS, DIRECTION_S = 6, 1.5
 MOST_M_S, MOST_RAD_S = 0.4, 0.8
@@ -34,7 +34,7 @@ def wishes(random: np.random.Generator) -> dict[str, float]:
 
 def drive(
     robot: RobotModel,
-    mode: ModeName,
+    mode: DrivingMode,
     grip: Grip,
     cycle_s: float,
     seed: int,

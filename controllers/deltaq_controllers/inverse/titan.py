@@ -57,30 +57,8 @@ class TitanInverse(NumberedBranches):
         self.lengths = lengths or TitanLengths()
         T_wrist_tool = np.eye(4) if T_hand_tool is None else np.array(T_hand_tool, dtype=np.float64)
         T_wrist_tool[2, 3] += self.lengths.tool
-        self._T_wrist_tool = T_wrist_tool
         self._T_tool_wrist = np.linalg.inv(T_wrist_tool)
         self._turned_tool = not np.array_equal(T_wrist_tool[:3, :3], np.eye(3))
-
-    def forward(self, q: Array) -> Array:
-        """(..., 4, 4) pose of the tool in the arm's base frame, for configurations (..., 6) [rad]."""
-        q = np.asarray(q, dtype=np.float64)
-        t1, t2, t3, t4, t5, t6 = np.moveaxis(q, -1, 0)
-        lengths, pitch = self.lengths, t2 + t3 + t4
-        R = _rx(-t1) @ _ry(pitch) @ _rx(t5) @ _rz(t6)
-        height = (
-            lengths.upper_arm * np.sin(t2) + lengths.forearm * np.sin(t2 + t3) + lengths.wrist * np.sin(pitch)
-        )
-        reach = lengths.azimuth + (
-            lengths.upper_arm * np.cos(t2) + lengths.forearm * np.cos(t2 + t3) + lengths.wrist * np.cos(pitch)
-        )
-        T = np.zeros((*q.shape[:-1], 4, 4))
-        T[..., :3, :3] = R
-        T[..., 0, 3] = height
-        T[..., 1, 3] = reach * np.sin(t1)
-        T[..., 2, 3] = reach * np.cos(t1)
-        T[..., 3, 3] = 1.0
-        pose: Array = T @ self._T_wrist_tool
-        return pose
 
     def inverse(self, poses: Array, hint: Array | None = None) -> Branches:
         """All configurations that put the tool at each pose.
@@ -184,22 +162,3 @@ def _opposite(angle: Array) -> Array:
     """Angles plus half a turn, in (-pi, pi] if the angles are."""
     turned: Array = np.where(angle > 0.0, angle - np.pi, angle + np.pi)
     return turned
-
-
-def _stack(rows: list[list[Array]]) -> Array:
-    return np.stack([np.stack(np.broadcast_arrays(*row), axis=-1) for row in rows], axis=-2)
-
-
-def _rx(angle: Array) -> Array:
-    c, s, one, zero = np.cos(angle), np.sin(angle), np.ones_like(angle), np.zeros_like(angle)
-    return _stack([[one, zero, zero], [zero, c, -s], [zero, s, c]])
-
-
-def _ry(angle: Array) -> Array:
-    c, s, one, zero = np.cos(angle), np.sin(angle), np.ones_like(angle), np.zeros_like(angle)
-    return _stack([[c, zero, s], [zero, one, zero], [-s, zero, c]])
-
-
-def _rz(angle: Array) -> Array:
-    c, s, one, zero = np.cos(angle), np.sin(angle), np.ones_like(angle), np.zeros_like(angle)
-    return _stack([[c, -s, zero], [s, c, zero], [zero, zero, one]])

@@ -46,10 +46,10 @@ def compile_ahead(cell: str) -> None:
     from deltaq_cell.robot import RobotModel
     from deltaq_controllers.advisor.session import SynchronousAdvisor
     from deltaq_controllers.modes.advisor import AdvisorMode, tracker_of
-    from deltaq_controllers.modes.motion import ModeName
     from deltaq_controllers.modes.practice import practise
     from deltaq_controllers.modes.teleoperator import MODES, Teleoperator
     from deltaq_controllers.surroundings.surroundings import RobotSurroundings
+    from deltaq_protocol.driving import DrivingMode
 
     model = CellModel.load(cell)
     cycle_s = model.description.cycle_s
@@ -58,7 +58,7 @@ def compile_ahead(cell: str) -> None:
         tracker_of(robot, hands_may_leave=True)
         return AdvisorMode(robot, cycle_s, SynchronousAdvisor(model, robot.name))
 
-    modes = {**MODES, ModeName.ADVISOR: advisor_mode}
+    modes = {**MODES, DrivingMode.ADVISOR: advisor_mode}
     with compiling_shown("the modes of driving by hand", FUNCTIONS):
         for name, robot in model.robots.items():
             around = RobotSurroundings(model, name)

@@ -13,10 +13,10 @@ from deltaq_controllers.advisor.time_parameterisation import Route, timed
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.inverse.tracking import ConstraintTracker, TrackingError
 from deltaq_controllers.modes.hands import GLIMPSE_S, Hands, kept_while_braked
-from deltaq_controllers.modes.interface import Advance, Instant, Limit, Limitation
-from deltaq_controllers.modes.motion import ModeName, Motion
+from deltaq_controllers.modes.interface import Advance, Instant, Limit, Limitation, Motion
 from deltaq_controllers.modes.stepped import SteppedMode
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.driving import DrivingMode
 
 AT_START = 1e-9
 """The robot stands where a path begins within this, in every joint [rad or m]."""
@@ -108,7 +108,7 @@ class AdvisorMode(SteppedMode):
         hands_may_leave: whether the hands may leave their place on the way to an option, and come back.
     """
 
-    name = ModeName.ADVISOR
+    name = DrivingMode.ADVISOR
     drives_hands = False
 
     def __init__(self, robot: RobotModel, cycle_s: float, advisor: Advisor) -> None:

@@ -15,10 +15,10 @@ from deltaq_controllers.criteria.postures import Postures, RobotData
 from deltaq_controllers.criteria.table import Normalised
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.hands import HeldObject, allowed_while_braked
-from deltaq_controllers.modes.interface import Conditioning, Instant, Limit, Limitation
-from deltaq_controllers.modes.motion import ModeName, Motion
+from deltaq_controllers.modes.interface import Conditioning, Instant, Limit, Limitation, Motion
 from deltaq_controllers.modes.resolved import DrivenTasks, ResolvedMode
 from deltaq_protocol.arrays import Array, Indices
+from deltaq_protocol.driving import DrivingMode
 
 # Coupled Cartesian mode: hand motion in, all joints out.
 
@@ -87,7 +87,7 @@ class CoupledMode(ResolvedMode):
         criteria: what redundant joints do; by default they stay near the middle of their ranges.
     """
 
-    name = ModeName.COUPLED
+    name = DrivingMode.COUPLED
     drives_hands = True
 
     def __init__(self, robot: RobotModel, criteria: Sequence[WeightedCriterion] | None = None) -> None:
@@ -135,7 +135,7 @@ class DecoupledMode(ResolvedMode):
     carried along by base joints that carry all of them; under the others it stays where it is.
     """
 
-    name = ModeName.DECOUPLED
+    name = DrivingMode.DECOUPLED
     drives_hands = True
 
     def __init__(self, robot: RobotModel) -> None:
@@ -185,7 +185,7 @@ class SelfMotionMode(ResolvedMode):
         ControllerError: the robot is not redundant.
     """
 
-    name = ModeName.SELF_MOTION
+    name = DrivingMode.SELF_MOTION
     drives_hands = False
 
     def __init__(self, robot: RobotModel) -> None:

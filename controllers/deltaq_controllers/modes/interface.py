@@ -12,11 +12,53 @@ from numpy.typing import NDArray
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.modes.conditioning import LOST
 from deltaq_controllers.modes.hands import Hands, HeldObject
-from deltaq_controllers.modes.motion import ModeName, Motion
 from deltaq_controllers.surroundings.surroundings import RobotSurroundings
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.driving import DrivingMode
 from deltaq_protocol.messages import Outcome, Verdict
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Rates of all joints and all hands; a mode uses the rates of what it drives.
+
+    Attributes:
+        joints: (n,) joint rates [rad/s or m/s].
+        hands: (h, 6) velocity [m/s] and angular velocity [rad/s] of each hand, world axes.
+        along: pace along a path; 1 follows its time parameterisation.
+    """
+
+    joints: Array
+    hands: Array
+    along: float = 0.0
+
+    @classmethod
+    def rest(cls, joints: int, hands: int) -> Motion:
+        """No motion."""
+        return cls(np.zeros(joints), np.zeros((hands, 6)))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of joints and of hands."""
+        return len(self.joints), len(self.hands)
+
+    def __bool__(self) -> bool:
+        return bool(self.joints.any() or self.hands.any() or self.along)
+
+    def scaled(self, share: float) -> Motion:
+        """All rates times `share`."""
+        return Motion(share * self.joints, share * self.hands, share * self.along)
+
+    def towards(self, other: Motion, share: float) -> Motion:
+        """The motion between this one and `other`, at fraction `share`."""
+        rest = 1.0 - share
+        return Motion(
+            rest * self.joints + share * other.joints,
+            rest * self.hands + share * other.hands,
+            rest * self.along + share * other.along,
+        )
+
 
 # What limits the operator now, in words: from the mode's own conditioning, its limits, and the gate's verdict.
 
@@ -191,7 +233,7 @@ class TeleoperationMode(Protocol):
     drives_joints: NDArray[np.bool_]
 
     @property
-    def name(self) -> ModeName:
+    def name(self) -> DrivingMode:
         """As in `--mode`."""
         ...
 

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.modes.interface import TeleoperationMode
-from deltaq_controllers.modes.motion import ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_protocol.driving import DrivingMode, OperatorCommand
 
 CYCLES = 3
 """Cycles of each command: one at rest, one that starts, one that goes on."""
@@ -47,7 +47,7 @@ def _always(mode: TeleoperationMode) -> Callable[[RobotModel], TeleoperationMode
 def _commands(teleoperator: Teleoperator) -> Iterator[OperatorCommand]:
     """Rest, and then every axis of the mode, or the way to an option."""
     yield OperatorCommand()
-    if teleoperator.mode is ModeName.ADVISOR:
+    if teleoperator.mode is DrivingMode.ADVISOR:
         yield OperatorCommand(option=1)
     for axis in teleoperator.axes(teleoperator.mode):
         yield OperatorCommand({axis: _RATE})

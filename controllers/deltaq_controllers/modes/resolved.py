@@ -29,13 +29,13 @@ from deltaq_controllers.modes.interface import (
     Conditioning,
     Instant,
     Limitation,
+    Motion,
     TeleoperationMode,
     of_conditioning,
     of_joint,
     of_pair,
     of_speed,
 )
-from deltaq_controllers.modes.motion import Motion
 from deltaq_controllers.modes.programme import POSITION, SPEED, Box, Solution, admits, can_rest, increment_box
 from deltaq_controllers.surroundings.barriers import Barriers
 from deltaq_controllers.surroundings.neighbours import NearPairs

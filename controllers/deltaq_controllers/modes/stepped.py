@@ -14,13 +14,14 @@ from deltaq_controllers.modes.interface import (
     Advance,
     Instant,
     Limitation,
+    Motion,
     TeleoperationMode,
     of_joint,
     of_speed,
 )
-from deltaq_controllers.modes.motion import ModeName, Motion
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles, brake_increment
+from deltaq_protocol.driving import DrivingMode
 
 # How much of what an operator commands fits into one cycle, on the path that the mode gives.
 #
@@ -232,7 +233,7 @@ class SteppedMode(TeleoperationMode):
 class JointMode(SteppedMode):
     """Drives joints independently (Hooper & Noakes, section II); only their own limits bound it."""
 
-    name = ModeName.JOINT
+    name = DrivingMode.JOINT
     drives_hands = False
 
     def __init__(self, robot: RobotModel) -> None:

@@ -15,11 +15,18 @@ from deltaq_controllers.interface import ControllerError, LastIncrement, View
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.modes.hand_modes import CoupledMode, DecoupledMode, SelfMotionMode
 from deltaq_controllers.modes.hands import Hands, HeldObject
-from deltaq_controllers.modes.interface import Instant, Limitation, TeleoperationMode, from_verdict, of_object
-from deltaq_controllers.modes.motion import HAND_AXES, Frame, Grip, ModeName, Motion, OperatorCommand
+from deltaq_controllers.modes.interface import (
+    Instant,
+    Limitation,
+    Motion,
+    TeleoperationMode,
+    from_verdict,
+    of_object,
+)
 from deltaq_controllers.modes.stepped import JointMode
 from deltaq_controllers.surroundings.surroundings import RobotSurroundings
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.driving import HAND_AXES, DrivingMode, Frame, Grip, OperatorCommand
 from deltaq_protocol.messages import Outcome, Verdict
 
 # How much of what an operator asks for goes through, for the operator to see and to feel. Pure.
@@ -140,13 +147,13 @@ def _turned(axes: Array, twist: Array) -> Array:
     return np.concatenate([axes @ twist[:3], axes @ twist[3:]])
 
 
-ModeTable = Mapping[ModeName, Callable[[RobotModel], TeleoperationMode]]
+ModeTable = Mapping[DrivingMode, Callable[[RobotModel], TeleoperationMode]]
 
 MODES: ModeTable = {
-    ModeName.JOINT: JointMode,
-    ModeName.DECOUPLED: DecoupledMode,
-    ModeName.SELF_MOTION: SelfMotionMode,
-    ModeName.COUPLED: CoupledMode,
+    DrivingMode.JOINT: JointMode,
+    DrivingMode.DECOUPLED: DecoupledMode,
+    DrivingMode.SELF_MOTION: SelfMotionMode,
+    DrivingMode.COUPLED: CoupledMode,
 }
 """The modes that need no more than the robot; `advisor` needs to know the cell."""
 
@@ -184,7 +191,7 @@ class Teleoperator:
         self,
         robot: RobotModel,
         cycle_s: float,
-        mode: ModeName = ModeName.JOINT,
+        mode: DrivingMode = DrivingMode.JOINT,
         frame: Frame = Frame.WORLD,
         modes: ModeTable = MODES,
         surroundings: RobotSurroundings | None = None,
@@ -210,7 +217,7 @@ class Teleoperator:
         )
         self._last = LastIncrement(self.limits.max_ddq)
         self._dq_before: Array = np.zeros(robot.n)
-        self._modes: dict[ModeName, TeleoperationMode] = {}
+        self._modes: dict[DrivingMode, TeleoperationMode] = {}
         self._mode = self.mode_named(mode)
         self._next: TeleoperationMode | None = self._mode
         self._rest = Motion.rest(robot.n, len(self._hands.names))
@@ -219,7 +226,7 @@ class Teleoperator:
         self._settle_cycles = self._still_cycles = math.ceil(SETTLE_S / cycle_s)
 
     @property
-    def mode(self) -> ModeName:
+    def mode(self) -> DrivingMode:
         """The mode that drives the robot now."""
         return self._mode.name
 
@@ -253,7 +260,7 @@ class Teleoperator:
         """Whether the robot was last asked to stand still, and did."""
         return not self._is_moving
 
-    def mode_named(self, name: ModeName) -> TeleoperationMode:
+    def mode_named(self, name: DrivingMode) -> TeleoperationMode:
         """The mode of that name, made when it is first asked for.
 
         Raises:
@@ -272,7 +279,7 @@ class Teleoperator:
             with suppress(ControllerError):  # the robot is not redundant
                 self.mode_named(name)
 
-    def check_grip(self, grip: Grip, mode: ModeName) -> None:
+    def check_grip(self, grip: Grip, mode: DrivingMode) -> None:
         """Check that the robot can grip in a mode.
 
         Raises:
@@ -284,7 +291,7 @@ class Teleoperator:
             raise ControllerError(
                 f"grip {grip.value}: robot {self.robot.name} has one hand, and an object is held by two or more"
             )
-        if mode is ModeName.JOINT:
+        if mode is DrivingMode.JOINT:
             raise ControllerError(
                 f"mode {mode.value} moves each joint by itself and would part hands that hold an object; "
                 f"choose grip {Grip.FREE.value} first, or another mode"
@@ -294,7 +301,7 @@ class Teleoperator:
         """Forget how the hands hold an object; while grip `object` is commanded they take it anew at rest."""
         self.grip, self.held = Grip.FREE, None
 
-    def check(self, command: OperatorCommand, mode: ModeName, grip: Grip = Grip.FREE) -> None:
+    def check(self, command: OperatorCommand, mode: DrivingMode, grip: Grip = Grip.FREE) -> None:
         """Check that a command can be followed in a mode and with a grip.
 
         Raises:
@@ -309,7 +316,7 @@ class Teleoperator:
                     f"output {name!r} is unknown; robot {self.robot.name} has {', '.join(has) or 'no outputs'}"
                 )
         joints = self.robot.joint_names
-        if command.option is not None and mode is not ModeName.ADVISOR:
+        if command.option is not None and mode is not DrivingMode.ADVISOR:
             raise ControllerError(f"option {command.option}: options are for mode advisor, not {mode.value}")
         for axis in command.rates:
             hand, _, plain = axis.rpartition(".")
@@ -329,7 +336,7 @@ class Teleoperator:
                     f"axis {axis!r} is {known} mode {mode.value} of robot {self.robot.name}; it drives {drives}"
                 )
 
-    def axes(self, mode: ModeName) -> tuple[str, ...]:
+    def axes(self, mode: DrivingMode) -> tuple[str, ...]:
         """The axes that an operator drives in a mode."""
         driver = self.mode_named(mode)
         named = zip(self.robot.joint_names, driver.drives_joints, strict=True)
@@ -407,7 +414,7 @@ class Teleoperator:
     def _commanded(self, q: Array) -> Motion:
         """The command as a motion of the axes that the mode drives."""
         rest = Motion.rest(self.robot.n, len(self.hand_names))
-        if self.mode is ModeName.ADVISOR:
+        if self.mode is DrivingMode.ADVISOR:
             return rest if self.command.option is None else replace(rest, along=1.0)
         return commanded(self.command, self.robot, self._hands, self._mode, self.frame, self.held, q)
 

@@ -37,8 +37,7 @@ from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operated.pilot import Pilot
 from deltaq_controllers.operated.reach import ReachPlanner
 from deltaq_controllers.operated.shell import OperatedRobot
-from deltaq_controllers.operated.wishes import LedByWishes
-from deltaq_controllers.operator_input.master import looking_at
+from deltaq_controllers.operator_input.master import Master, looking_at
 from deltaq_controllers.teleoperation import teleoperator_for
 from deltaq_protocol import connect
 from deltaq_protocol.client import DEFAULT_ADDRESS, Cell
@@ -88,7 +87,7 @@ async def drive_by_lines(
         pilot = Pilot(
             teleoperator,
             partial(_follower, cell, teleoperator.robot, compiling),
-            partial(_led, cell, teleoperator),
+            partial(_master, cell, teleoperator),
             lambda: ReachPlanner(cell_model(cell.description), robot),
         )
         await asyncio.to_thread(_make_ready, pilot, teleoperator)
@@ -153,14 +152,14 @@ def _follower(cell: Cell, robot: RobotModel, compiling: asyncio.Future[None]) ->
     return CameraInUse(cameras, leader, Outlook(model, robot.name))
 
 
-def _led(cell: Cell, teleoperator: Teleoperator, master: str, scale: float) -> LedByWishes:
+def _master(cell: Cell, teleoperator: Teleoperator, master: str, scale: float) -> Master:
     """Another robot of the running cell as the master.
 
     Raises:
         ControllerError: there is none of that name, or it is the robot itself.
     """
     model = model_of(robot_models(cell.description), master)
-    return LedByWishes(teleoperator, model, looking_at(cell, master, teleoperator.robot.name), scale)
+    return Master(teleoperator, model, looking_at(cell, master, teleoperator.robot.name), scale)
 
 
 def main() -> int:

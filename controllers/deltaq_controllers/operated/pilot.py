@@ -10,13 +10,21 @@ import numpy as np
 from deltaq_controllers.camera.in_use import CameraInUse
 from deltaq_controllers.interface import ControllerError, View
 from deltaq_controllers.modes.advisor import AdvisorMode
-from deltaq_controllers.modes.motion import Frame, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operated.reach import PlannedReach, ReachPlanner, advisor_of, option_way, search_of
-from deltaq_controllers.operated.wishes import LedByWishes, Wishes, check_grip, check_trade_off, is_rest
-from deltaq_protocol import driving
+from deltaq_controllers.operated.wishes import REST, Wishes, check_grip, check_trade_off
+from deltaq_controllers.operator_input.master import Master
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.driving import DriverReport, DriverStage, DriverWays, DrivingMode, Reach, Way, Wish
+from deltaq_protocol.driving import (
+    DriverReport,
+    DriverStage,
+    DriverWays,
+    DrivingMode,
+    Grip,
+    OperatorCommand,
+    Reach,
+    Way,
+)
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import Outcome, Sight, Verdict, ViewTarget, ViewWish
 
@@ -29,7 +37,7 @@ class Pilot:
     Args:
         teleoperator: of the robot.
         make_follower: makes the camera controller, or raises `ControllerError` where there can be none.
-        make_led: makes what has a master of that name lead a hand, scaled, or raises `ControllerError`.
+        make_master: makes the master of that name and scale, or raises `ControllerError`.
         make_planner: makes the planner of ways to poses, or raises `ControllerError` where there can be none.
 
     Attributes:
@@ -41,14 +49,14 @@ class Pilot:
         self,
         teleoperator: Teleoperator,
         make_follower: Callable[[], CameraInUse],
-        make_led: Callable[[str, float], LedByWishes],
+        make_master: Callable[[str, float], Master],
         make_planner: Callable[[], ReachPlanner],
     ) -> None:
         self._teleoperator = teleoperator
         self._make_follower, self._make_planner = make_follower, make_planner
         self._planner: ReachPlanner | None = None
         self._why_not: dict[DrivingMode, str] = {}
-        self.wishes = Wishes(teleoperator, make_led)
+        self.wishes = Wishes(teleoperator, make_master)
         self._takes_anew = False
         self._q = teleoperator.robot.home
         self._follower: CameraInUse | None = None
@@ -58,7 +66,7 @@ class Pilot:
         self._is_still = True
         self._when_still: Callable[[Array], None] | None = None
         self._ways: tuple[object, DriverWays] = (None, DriverWays(mode=DrivingMode.JOINT))
-        self._mode = DrivingMode(teleoperator.mode.value)
+        self._mode = teleoperator.mode
         self.is_following = False
         self._limit = ""
 
@@ -87,24 +95,32 @@ class Pilot:
                 planner.practise()
                 self._planner = planner
         else:
-            self._teleoperator.mode_named(ModeName(mode.value))
+            self._teleoperator.mode_named(mode)
 
-    def change_mode(
-        self, mode: DrivingMode, frame: driving.Axes, grip: driving.HandGrip | None = None
-    ) -> None:
-        """Drive in a mode that was prepared and with a grip, None for the present one, from the next rest on.
+    def take(self, command: OperatorCommand, now_s: float) -> None:
+        """Follow a command: its mode, axes and grip from the next rest on, its motion for as long as a wish lasts.
+
+        Outputs are for the caller; without a motion they let the present one go on.
 
         Raises:
-            ControllerError: the mode could not be prepared, the robot has one hand, or the mode would part hands that
-                hold an object; nothing changes.
+            ControllerError: the mode could not be prepared or does not drive that, the robot has one hand, or the mode
+                would part hands that hold an object; nothing is wished for then.
         """
+        if (command.mode, command.frame, command.grip) != (None, None, None):
+            self._change_mode(command)
+        wish = OperatorCommand(command.rates, option=command.option, led=command.led)
+        if wish != REST or not command.outputs:
+            self._wish(wish, now_s)
+
+    def _change_mode(self, command: OperatorCommand) -> None:
+        mode = command.mode or self._mode
         if mode in self._why_not:
             raise ControllerError(self._why_not[mode])
-        wanted = self.wishes.grip if grip is None else Grip(grip)
-        check_grip(self._teleoperator, wanted, mode)
+        grip = command.grip or self.wishes.grip
+        check_grip(self._teleoperator, grip, mode)
         self.rest()
-        self._mode, self.wishes.grip, self._reach = mode, wanted, None
-        self._teleoperator.frame = Frame(frame)
+        self._mode, self.wishes.grip, self._reach = mode, grip, None
+        self._teleoperator.frame = command.frame or self._teleoperator.frame
 
     def advise(
         self, *, again: bool, trade_off: tuple[str, str] | None = None, hands_may_leave: bool = False
@@ -166,22 +182,17 @@ class Pilot:
         self.rest()
         self._reach = reach
 
-    def wish(self, wish: Wish, now_s: float) -> None:
-        """Wish to move, for as long as a wish lasts.
-
-        Raises:
-            ControllerError: the mode does not drive that; nothing is wished for then.
-        """
+    def _wish(self, wish: OperatorCommand, now_s: float) -> None:
         self.rest()
         if self._mode is DrivingMode.FOLLOW:
-            if not is_rest(wish):
+            if wish != REST:
                 raise ControllerError("the camera follows: choose another mode to move the robot by hand")
             return
         if self._mode is DrivingMode.POSE:
-            if not is_rest(wish) and (self._reach is None or wish != Wish(option=1)):
+            if wish != REST and (self._reach is None or wish != OperatorCommand(option=1)):
                 raise ControllerError("in mode pose the robot goes only to a pose that was planned")
         else:
-            self.wishes.check(wish, ModeName(self._mode.value))
+            self.wishes.check(wish, self._mode)
         self.wishes.take(wish, now_s)
 
     def rest(self) -> None:
@@ -214,7 +225,7 @@ class Pilot:
         """The robot is to come to rest and be left."""
         self.rest()
         if self._mode is DrivingMode.FOLLOW:
-            self._mode = DrivingMode(self._teleoperator.mode.value)
+            self._mode = self._teleoperator.mode
         self.is_following = False
         self._when_still = None
 
@@ -241,11 +252,11 @@ class Pilot:
             self._active = wanted
         if wanted is None:
             return None
-        mode = ModeName.ADVISOR if by_pose else ModeName(self._mode.value)
+        mode = DrivingMode.ADVISOR if by_pose else self._mode
         return self._teleoperated(wanted, mode, Grip.FREE if by_pose else self.wishes.grip, view, now_s)
 
     def _teleoperated(
-        self, teleoperator: Teleoperator, mode: ModeName, grip: Grip, view: View, now_s: float
+        self, teleoperator: Teleoperator, mode: DrivingMode, grip: Grip, view: View, now_s: float
     ) -> Array | None:
         is_still = self._is_still
         if self._takes_anew:
@@ -258,10 +269,10 @@ class Pilot:
             self._when_still = None
         command = self.wishes.command(now_s)
         settled = teleoperator.is_at_rest and (teleoperator.mode, teleoperator.grip) == (mode, grip)
-        if command is None and is_still and settled:
+        if command == REST and is_still and settled:
             self._limit = ""
             return None
-        teleoperator.command = replace(command or OperatorCommand(), mode=mode, grip=grip)
+        teleoperator.command = replace(command, mode=mode, grip=grip)
         increment = teleoperator.increment(view)
         self._limit = teleoperator.limitation.text if teleoperator.limitation is not None else ""
         return increment
@@ -286,19 +297,19 @@ class Pilot:
         offers = self._offers
         by_pose = self._mode is DrivingMode.POSE
         doing = "" if self.is_following or by_pose else self._teleoperator.status
-        led = self.wishes.led
-        if led is not None:
-            doing = " · ".join(part for part in (doing, led.status) if part)
+        master = self.wishes.master
+        if master is not None:
+            doing = " · ".join(part for part in (doing, f"master, {master.status}") if part)
         return DriverReport(
             stage=stage,
             mode=self._mode,
-            frame=self._teleoperator.frame.value,
+            frame=self._teleoperator.frame,
             limit=self._limit,
             goes_through=self._goes_through,
-            grip=self.wishes.grip.value,
+            grip=self.wishes.grip,
             hands_off=self.wishes.hands_off(self._q),
-            master="" if led is None else led.name,
-            master_scale=1.0 if led is None else led.scale,
+            master="" if master is None else master.name,
+            master_scale=1.0 if master is None else master.scale,
             doing=doing,
             distance_m=distance_m,
             longest_cycle_s=longest_cycle_s,

@@ -18,11 +18,10 @@ from deltaq_controllers.criteria.near_bodies import Clearance
 from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.inverse.tracking import ConstraintTracker, TrackingError
 from deltaq_controllers.modes.advisor import AdvisorMode
-from deltaq_controllers.modes.motion import ModeName, OperatorCommand
 from deltaq_controllers.modes.practice import CYCLES
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.driving import MOST_WAY_POINTS, NearPair, Search, Way
+from deltaq_protocol.driving import MOST_WAY_POINTS, DrivingMode, NearPair, OperatorCommand, Search, Way
 
 # What is told of ways that are offered: options of the advisor, or the way to a pose.
 
@@ -232,7 +231,7 @@ class ReachPlanner:
             no_path="",
         )
         answered = Answered(self._tracker, Progress("", 1.0, 0.0, 0, (option,)))
-        modes = {ModeName.ADVISOR: lambda robot: AdvisorMode(robot, self._cycle_s, answered)}
+        modes = {DrivingMode.ADVISOR: lambda robot: AdvisorMode(robot, self._cycle_s, answered)}
         setpoints = timed(path, self._tracker, self._cycle_s, hands_move=True)
         first = setpoints[min(1, len(setpoints) - 1)] - setpoints[0]
         way = Way(
@@ -245,7 +244,7 @@ class ReachPlanner:
             text=_words(share, tightest),
             first=tuple(first.tolist()),
         )
-        return PlannedReach(Teleoperator(self._robot, self._cycle_s, ModeName.ADVISOR, modes=modes), way)
+        return PlannedReach(Teleoperator(self._robot, self._cycle_s, DrivingMode.ADVISOR, modes=modes), way)
 
 
 def _pose(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from pydantic import ValidationError
@@ -18,8 +18,8 @@ from deltaq_protocol.client import Cell
 from deltaq_protocol.driving import (
     REQUESTS,
     Advise,
-    ChangeMode,
     ChooseMaster,
+    Command,
     DriverAnswer,
     DriverMessage,
     DriverReport,
@@ -29,9 +29,7 @@ from deltaq_protocol.driving import (
     DrivingMode,
     Reach,
     Release,
-    Switch,
     Take,
-    Wish,
 )
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.leased_robot import LeasedRobot
@@ -92,9 +90,9 @@ class OperatedRobot:
 
     def _take(self, request: DriverRequest) -> None:
         match request:
-            case Wish():
+            case Command(id=None):
                 with contextlib.suppress(ControllerError):  # the report says in which mode it is driven
-                    self._pilot.wish(request, time.monotonic())
+                    self._pilot.take(request.command, time.monotonic())
             case Take():
                 self._wanted.put_nowait(request)
             case Release():
@@ -108,12 +106,13 @@ class OperatedRobot:
                 self._tasks.add(task)
                 task.add_done_callback(self._tasks.discard)
 
-    async def _do(self, request: ChangeMode | ChooseMaster | Switch | Advise | Reach) -> None:
+    async def _do(self, request: Command | ChooseMaster | Advise | Reach) -> None:
         text = ""
         try:
             match request:
-                case ChangeMode():
-                    self._pilot.change_mode(request.mode, request.frame, request.grip)
+                case Command():
+                    self._pilot.take(request.command, time.monotonic())
+                    await self._switch(request.command.outputs)
                 case ChooseMaster():
                     await asyncio.to_thread(self._pilot.wishes.choose_master, request.master, request.scale)
                 case Advise():
@@ -124,13 +123,16 @@ class OperatedRobot:
                     )
                 case Reach():
                     await self._reach(request)
-                case Switch():
-                    if self._leased is None:
-                        raise ControllerError("the robot's lease is not held")
-                    await self._leased.io(request.outputs)
         except DeltaqError as error:
             text = str(error)
-        self._say(DriverAnswer(id=request.id, done=not text, text=text))
+        self._say(DriverAnswer(id=request.id or "", done=not text, text=text))
+
+    async def _switch(self, outputs: Mapping[str, bool]) -> None:
+        if not outputs:
+            return
+        if self._leased is None:
+            raise ControllerError("the robot's lease is not held")
+        await self._leased.io(outputs)
 
     async def _reach(self, request: Reach) -> None:
         """Plan at rest, in a thread: states are to be read meanwhile. Of several poses the newest counts."""

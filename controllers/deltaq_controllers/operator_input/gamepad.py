@@ -13,7 +13,6 @@ from types import TracebackType
 from typing import Any, Self
 
 from deltaq_controllers.interface import ControllerError
-from deltaq_controllers.modes.motion import Frame, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.interface import (
     OperatorInput,
@@ -22,12 +21,14 @@ from deltaq_controllers.operator_input.interface import (
     changed_speed,
     grip_of,
     hand_axis,
+    led_hand,
     next_hand,
     next_mode,
     other_frame,
 )
 from deltaq_controllers.operator_input.keyboard import TURN_RAD_M
 from deltaq_controllers.operator_input.view_distance import AskedViewDistance
+from deltaq_protocol.driving import DrivingMode, Frame, OperatorCommand
 from deltaq_protocol.pad_layout import PAD_LAYOUT, VIEW_STEP_M, PadFunction
 
 # A gamepad as SDL knows it: its database of mappings gives sticks and buttons the same names on every pad.
@@ -314,13 +315,8 @@ class Gamepad(OperatorInput):
         return f"{chosen}, {self._speed_m_s:.3f} m/s{seen}, {held}"
 
     @property
-    def is_clutched(self) -> bool:
-        """Whether a shoulder button is held, by which a master leads."""
-        return self._holding is not None
-
-    @property
     def _is_advised(self) -> bool:
-        return self._teleoperator.mode is ModeName.ADVISOR
+        return self._teleoperator.mode is DrivingMode.ADVISOR
 
     @property
     def _is_by_hand(self) -> bool:
@@ -337,7 +333,7 @@ class Gamepad(OperatorInput):
             self._held = frozenset()
             return OperatorCommand()
         self._held, self._waits_for = state.held, state.waits_for
-        mode: ModeName | None = None
+        mode: DrivingMode | None = None
         frame: Frame | None = None
         for button in state.pressed:
             match BUTTONS[button]:
@@ -353,10 +349,11 @@ class Gamepad(OperatorInput):
                     self._choose(chosen)
         outputs = self.output.switched(TRIGGERS[state.pulled[-1]] is PadFunction.ON) if state.pulled else {}
         grip = grip_of(self._teleoperator, self.hand)
+        led = led_hand(self.hand) if self._holding is not None else None
         if self._is_advised:
             goes = self._holding is not None and state.sticks[StickAxis.LEFT_Y] < -_PUSHED
-            return OperatorCommand({}, mode, frame, self.option if goes else None, outputs, grip)
-        return OperatorCommand(self._rates(state), mode, frame, None, outputs, grip)
+            return OperatorCommand({}, mode, frame, self.option if goes else None, outputs, grip, led)
+        return OperatorCommand(self._rates(state), mode, frame, None, outputs, grip, led)
 
     def reflect(self, share: float) -> None:
         """Let the hand feel which fraction of the requested motion goes through: the less, the stronger."""

@@ -7,8 +7,8 @@ from types import TracebackType
 from typing import Protocol, Self
 
 from deltaq_controllers.interface import ControllerError
-from deltaq_controllers.modes.motion import Frame, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_protocol.driving import TELEOPERATION, DrivingMode, Frame, Grip, OperatorCommand
 
 
 class OperatorInput(Protocol):
@@ -66,9 +66,9 @@ def choices_help(
     )
 
 
-def next_mode(teleoperator: Teleoperator) -> ModeName:
+def next_mode(teleoperator: Teleoperator) -> DrivingMode:
     """The mode after the present one that the robot can be driven in."""
-    modes = list(ModeName)
+    modes = TELEOPERATION
     place = modes.index(teleoperator.mode)
     for offset in range(1, len(modes)):
         mode = modes[(place + offset) % len(modes)]
@@ -84,7 +84,7 @@ def next_mode(teleoperator: Teleoperator) -> ModeName:
 def next_hand(teleoperator: Teleoperator, hand: str | None) -> str | None:
     """The hand after this one; None is all of them, `OBJECT` all of them with an object between them."""
     hands: tuple[str | None, ...] = (None, *teleoperator.hand_names)
-    if len(hands) > 2 and teleoperator.mode is not ModeName.JOINT:
+    if len(hands) > 2 and teleoperator.mode is not DrivingMode.JOINT:
         hands += (OBJECT,)
     return hands[(hands.index(hand) + 1) % len(hands)] if hand in hands else None
 
@@ -94,6 +94,11 @@ def grip_of(teleoperator: Teleoperator, hand: str | None) -> Grip | None:
     if len(teleoperator.hand_names) < 2:
         return None
     return Grip.OBJECT if hand == OBJECT else Grip.FREE
+
+
+def led_hand(hand: str | None) -> str:
+    """The hand that a master leads for a choice of hand, as `OperatorCommand.led` has it."""
+    return "" if hand in (None, OBJECT) else hand
 
 
 def hand_axis(hand: str | None, axis: str) -> str:

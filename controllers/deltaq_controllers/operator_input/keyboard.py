@@ -16,7 +16,6 @@ from types import TracebackType
 from typing import Any, Self
 
 from deltaq_controllers.interface import ControllerError
-from deltaq_controllers.modes.motion import ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.interface import (
     OperatorInput,
@@ -25,10 +24,12 @@ from deltaq_controllers.operator_input.interface import (
     choices_help,
     grip_of,
     hand_axis,
+    led_hand,
     next_hand,
     next_mode,
     other_frame,
 )
+from deltaq_protocol.driving import DrivingMode, OperatorCommand
 
 # Whether a key is tapped or held, from a terminal that reports presses and repeats alike and no release.
 #
@@ -114,7 +115,6 @@ class Keyboard(OperatorInput):
         hand: the hand that the keys move; None for all, `object` for an object that all hold.
         output: the digital output that the keys switch.
         speed_m_s: hand speed now.
-        is_clutched: c was pressed, and no other key since: a master leads.
     """
 
     def __init__(self, teleoperator: Teleoperator, file: int | None = None, speed_m_s: float = 0.1) -> None:
@@ -129,7 +129,7 @@ class Keyboard(OperatorInput):
         self.joint = 0
         self.hand: str | None = None
         self.output = OutputChoice(teleoperator)
-        self.is_clutched = False
+        self._is_clutched = False
 
     @property
     def status(self) -> str:
@@ -146,7 +146,7 @@ class Keyboard(OperatorInput):
             if key in ("q", ""):
                 return None
             self._option = int(key) if key in OPTION_KEYS else None
-            self.is_clutched = key == "c"
+            self._is_clutched = key == "c"  # and no other key since: a master leads
             if key == "m":
                 mode = next_mode(self._teleoperator)
             elif key == "t":
@@ -173,9 +173,10 @@ class Keyboard(OperatorInput):
                 self._held.release()
         share = self._held.share(time_s)
         rates = {axis: share * rate for axis, rate in self._rates.items()} if share else {}
-        option = self._option if self._teleoperator.mode is ModeName.ADVISOR else None
+        option = self._option if self._teleoperator.mode is DrivingMode.ADVISOR else None
         grip = grip_of(self._teleoperator, self.hand)
-        return OperatorCommand(rates, mode, frame, option, outputs, grip)
+        led = led_hand(self.hand) if self._is_clutched else None
+        return OperatorCommand(rates, mode, frame, option, outputs, grip, led)
 
     def _press(self, key: str, time_s: float, axis: str, rate: float) -> None:
         self._held.press(key, time_s)

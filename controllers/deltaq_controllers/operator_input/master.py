@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from types import TracebackType
-from typing import NamedTuple, Protocol, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 import pinocchio as pin
@@ -14,11 +14,11 @@ import pinocchio as pin
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import ControllerError, RobotView
 from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.motion import HAND_AXES, Frame, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.interface import OperatorInput, hand_axis
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell
+from deltaq_protocol.driving import HAND_AXES, Frame, OperatorCommand
 
 # The motion of one tool as the wish for another one. Pure: what is seen is handed in.
 
@@ -166,22 +166,8 @@ def looking_at(cell: Cell, master: str, robot: str) -> LookAtBoth:
     return look
 
 
-class Clutch(OperatorInput, Protocol):
-    """The device by which an operator couples the master, and chooses everything else."""
-
-    @property
-    def hand(self) -> str | None:
-        """The hand that is moved; None for all."""
-        ...
-
-    @property
-    def is_clutched(self) -> bool:
-        """Whether the master leads."""
-        ...
-
-
-class Master(OperatorInput):
-    """Commands from the measured motion of another robot's tool.
+class Master:
+    """The rates of a hand from the measured motion of another robot's tool, while commands have it led.
 
     A master leads once it was seen at rest. One that is not seen any more, or that jumped, is uncoupled until the
     operator couples it again.
@@ -190,20 +176,24 @@ class Master(OperatorInput):
         teleoperator: the robot that is driven.
         master: the robot that leads.
         look: returns what is seen of both.
-        clutch: couples and uncouples, and chooses mode, axes, hand and outputs.
         scale: way of the hand for each metre of the master's.
+
+    Attributes:
+        name: of the master.
+        scale: as given.
 
     Raises:
         ControllerError: a robot cannot lead itself.
     """
 
     def __init__(
-        self, teleoperator: Teleoperator, master: RobotModel, look: LookAtBoth, clutch: Clutch, scale: float
+        self, teleoperator: Teleoperator, master: RobotModel, look: LookAtBoth, scale: float
     ) -> None:
         if master.name == teleoperator.robot.name:
             raise ControllerError(f"master {master.name}: a robot cannot lead itself; name another one")
-        self._teleoperator, self._clutch, self._look = teleoperator, clutch, look
-        self._name, self._master, self._hands = master.name, Hands(master), Hands(teleoperator.robot)
+        self._teleoperator, self._look = teleoperator, look
+        self.name, self.scale = master.name, scale
+        self._master, self._hands = Hands(master), Hands(teleoperator.robot)
         self._led = LedPose(scale)
         self._choice: tuple[object, ...] = ()
         self._must_release = False
@@ -214,23 +204,23 @@ class Master(OperatorInput):
 
     @property
     def status(self) -> str:
-        """The present choice."""
+        """Whether it leads, and why not."""
         led = "leads" if self._led.is_coupled else self._trouble or "is not coupled"
-        return f"{self._clutch.status}, {self._name} {led}"
+        return f"{self.name} {led}"
 
-    def read(self, time_s: float) -> OperatorCommand | None:
-        """The command at a time of the driven robot's clock [s]; None when the operator ends the drive."""
-        command = self._clutch.read(time_s)
-        if command is None:
-            return None
-        if not self._clutch.is_clutched:
+    def lead(self, command: OperatorCommand, time_s: float) -> OperatorCommand:
+        """The command at a time of the driven robot's clock [s], the master's rates in it if it has a hand led.
+
+        To be asked for in every cycle, led or not.
+        """
+        if command.led is None:
             self._must_release, self._trouble = False, ""
             self._led.release()
             self._watch(time_s)
             return command
-        return replace(command, rates=self._rates(time_s))
+        return replace(command, rates=self._rates(command.led, time_s))
 
-    def _rates(self, time_s: float) -> dict[str, float]:
+    def _rates(self, led: str, time_s: float) -> dict[str, float]:
         seen = self._watch(time_s)
         teleoperator = self._teleoperator
         if not teleoperator.mode_named(teleoperator.mode).drives_hands:
@@ -242,9 +232,9 @@ class Master(OperatorInput):
         if seen is None or self._must_release:
             return {}
         master, own = seen
-        hand, poses = self._hand(own.q_cmd), self._tool(master.q)
+        hand, poses = self._hand(led, own.q_cmd), self._tool(master.q)
         own_axes = teleoperator.frame is Frame.TOOL
-        choice = (self._clutch.hand, teleoperator.mode, teleoperator.frame, teleoperator.grip)
+        choice = (led, teleoperator.mode, teleoperator.frame, teleoperator.grip)
         if not self._led.is_coupled or choice != self._choice:
             self._choice = choice
             self._led.couple(poses, hand, own_axes)
@@ -252,14 +242,14 @@ class Master(OperatorInput):
         if twist is None:
             self._uncouple("jumped: couple it again")
             return {}
-        return self._commanded(twist, hand, own_axes)
+        return self._commanded(led, twist, hand, own_axes)
 
-    def _commanded(self, twist: Array, hand: PlacedTool, own_axes: bool) -> dict[str, float]:
+    def _commanded(self, led: str, twist: Array, hand: PlacedTool, own_axes: bool) -> dict[str, float]:
         axes = hand.rotation.T if own_axes else np.eye(3)
         parts = ((axes @ twist[:3], MOST_M_S), (axes @ twist[3:], MOST_RAD_S))
         rates = [part * min(1.0, most / max(float(np.linalg.norm(part)), 1e-12)) for part, most in parts]
         named = zip(HAND_AXES, np.concatenate(rates).tolist(), strict=True)
-        return {hand_axis(self._clutch.hand, axis): rate for axis, rate in named}
+        return {hand_axis(led or None, axis): rate for axis, rate in named}
 
     def _uncouple(self, trouble: str) -> None:
         self._led.release()
@@ -284,25 +274,47 @@ class Master(OperatorInput):
         self._master.place(q)
         return PlacedTool(self._master.rotations[0], self._master.positions[0])
 
-    def _hand(self, q: Array) -> PlacedTool:
+    def _hand(self, led: str, q: Array) -> PlacedTool:
         """The hand that is led; of several the middle, with the axes of the object between them or of the first."""
         hands, held = self._hands, self._teleoperator.held
         hands.place(q)
-        if self._clutch.hand in hands.names:
-            chosen = hands.names.index(self._clutch.hand or "")
+        if led in hands.names:
+            chosen = hands.names.index(led)
             return PlacedTool(hands.rotations[chosen], hands.positions[chosen])
         rotation = hands.rotations[0] if held is None else held.axes(hands.rotations)
         return PlacedTool(rotation, hands.positions.mean(axis=0))
 
+
+class LedInput(OperatorInput):
+    """A device by which an operator couples a master, and chooses everything else.
+
+    Args:
+        device: in the operator's hand.
+        master: leads the hand while the device's commands say so.
+    """
+
+    def __init__(self, device: OperatorInput, master: Master) -> None:
+        self._device, self._master = device, master
+
+    @property
+    def status(self) -> str:
+        """The present choice, and whether the master leads."""
+        return f"{self._device.status}, {self._master.status}"
+
+    def read(self, time_s: float) -> OperatorCommand | None:
+        """The command at a time of the driven robot's clock [s]; None when the operator ends the drive."""
+        command = self._device.read(time_s)
+        return None if command is None else self._master.lead(command, time_s)
+
     def reflect(self, share: float) -> None:
         """Hand on what goes through to a device that can tell it."""
-        self._clutch.reflect(share)
+        self._device.reflect(share)
 
     def __enter__(self) -> Self:
-        self._clutch.__enter__()
+        self._device.__enter__()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._clutch.__exit__(kind, error, trace)
+        self._device.__exit__(kind, error, trace)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
@@ -13,11 +13,14 @@ from deltaq_cell.problems import CellError
 from deltaq_cell.yaml_tree import parse
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.advisor import AdvisorMode
-from deltaq_controllers.modes.motion import HAND_AXES, Frame, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.interface import OperatorInput
+from deltaq_protocol.driving import HAND_AXES, DrivingMode, Frame, Grip, OperatorCommand
 
 _UNITS = {"_m_s": ("m", 1.0), "_mm_s": ("m", 1e-3), "_rad_s": ("rad", 1.0), "_deg_s": ("rad", math.pi / 180)}
+
+
+TeleoperationMode = Literal["joint", "decoupled", "self-motion", "advisor", "coupled"]
 
 
 class ScriptStep(BaseModel):
@@ -29,7 +32,7 @@ class ScriptStep(BaseModel):
     """Duration; a step to an option ends earlier if the robot arrives earlier, and waits for the advisor beforehand."""
     move: dict[str, FiniteFloat] = {}
     """By axis and unit: `a1_deg_s`, `e1_m_s`, `x_m_s`, `rz_deg_s`, `left.x_mm_s`; nothing: rest."""
-    mode: ModeName | None = None
+    mode: TeleoperationMode | None = None
     frame: Frame | None = None
     grip: Grip | None = None
     """Of a robot with several hands: `object` if they hold one together, `free` if they do not."""
@@ -140,7 +143,12 @@ def _parsed(where: str, step: Any, teleoperator: Teleoperator) -> tuple[float, O
         axis, rate = _rate(name, value, units, where)
         rates[axis] = rate
     return parsed.duration_s, OperatorCommand(
-        rates, parsed.mode, parsed.frame, parsed.option, parsed.outputs, parsed.grip
+        rates,
+        parsed.mode and DrivingMode(parsed.mode),
+        parsed.frame,
+        parsed.option,
+        parsed.outputs,
+        parsed.grip,
     )
 
 
@@ -187,7 +195,7 @@ class GoToOption(OperatorInput):
     """
 
     def __init__(self, teleoperator: Teleoperator, option: int) -> None:
-        mode = teleoperator.mode_named(ModeName.ADVISOR)
+        mode = teleoperator.mode_named(DrivingMode.ADVISOR)
         assert isinstance(mode, AdvisorMode)
         self._teleoperator, self._mode, self._option = teleoperator, mode, option
         self._got_on_s: float | None = None

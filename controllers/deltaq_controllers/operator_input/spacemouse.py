@@ -10,10 +10,16 @@ from types import TracebackType
 from typing import Any, Self
 
 from deltaq_controllers.interface import ControllerError
-from deltaq_controllers.modes.motion import HAND_AXES, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
-from deltaq_controllers.operator_input.interface import OperatorInput, beyond_dead_zone, hand_axis, next_hand
+from deltaq_controllers.operator_input.interface import (
+    OperatorInput,
+    beyond_dead_zone,
+    hand_axis,
+    led_hand,
+    next_hand,
+)
 from deltaq_controllers.operator_input.keyboard import TURN_RAD_M, Keyboard
+from deltaq_protocol.driving import HAND_AXES, DrivingMode, OperatorCommand
 
 # A 6-axis hand controller (SpaceMouse), from the bytes of its HID reports. Pure: times are handed in.
 #
@@ -268,16 +274,6 @@ class SpaceMouse(OperatorInput):
             return f"{self._keyboard.status}, let the cap go: nothing moves until it was at rest{ignored}"
         return f"{self._keyboard.status}, {'held' if self._is_held else 'hold the left button'}{ignored}"
 
-    @property
-    def hand(self) -> str | None:
-        """The hand that is moved, as the keyboard has it."""
-        return self._keyboard.hand
-
-    @property
-    def is_clutched(self) -> bool:
-        """Whether the left button is held, by which a master leads."""
-        return self._is_held
-
     def read(self, time_s: float) -> OperatorCommand | None:
         """The command at a time [s]; None after the key that ends the drive. A device that is unplugged is rest."""
         command = self._keyboard.read(time_s)
@@ -285,7 +281,7 @@ class SpaceMouse(OperatorInput):
         if reports is None:
             self._cap.forget()
             self._is_held = False
-            return command
+            return command and replace(command, led=None)
         return self.moved(command, self._cap.look(reports, time_s))
 
     def moved(self, command: OperatorCommand | None, state: SixAxisState) -> OperatorCommand | None:
@@ -294,14 +290,14 @@ class SpaceMouse(OperatorInput):
         for _ in range(state.pressed.count(NEXT_HAND)):
             self._keyboard.hand = next_hand(self._teleoperator, self._keyboard.hand)
         if command is None or not self._is_held:
-            return command
+            return command and replace(command, led=None)
         rates = {axis: rate for axis, rate in self._rates(state).items() if rate}
-        return replace(command, rates=rates) if rates else command
+        return replace(command, rates=rates or command.rates, led=led_hand(self._keyboard.hand))
 
     def _rates(self, state: SixAxisState) -> dict[str, float]:
         teleoperator, keyboard, speed_m_s = self._teleoperator, self._keyboard, self._keyboard.speed_m_s
         mode = teleoperator.mode
-        if mode is ModeName.ADVISOR:
+        if mode is DrivingMode.ADVISOR:
             return {}
         if teleoperator.mode_named(mode).drives_hands:
             return {

@@ -22,7 +22,6 @@ from deltaq_controllers.advisor.problem import AdvisorError, AdvisorProblem
 from deltaq_controllers.advisor.session import Answered
 from deltaq_controllers.inverse.tracking import ConstraintTracker, first_redundant
 from deltaq_controllers.modes.advisor import AdvisorMode
-from deltaq_controllers.modes.motion import ModeName
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.script import GoToOption
 from deltaq_controllers.statistics import ControlStatistics
@@ -31,6 +30,7 @@ from deltaq_deploy.launch.cell_connection import connect, known_robot
 from deltaq_protocol import connect as connect_to
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.blocking import BlockingCell
+from deltaq_protocol.driving import DrivingMode
 
 STATE_DEADLINE_S = 5.0
 
@@ -238,8 +238,8 @@ def _drive(cell: CellDescription, tracker: ConstraintTracker, options: list[Opti
 
 async def _go(cell: CellDescription, answered: Answered, rank: int, T_world_hands: Array) -> Driven:
     robot = answered.tracker.robot
-    modes = {ModeName.ADVISOR: lambda robot: AdvisorMode(robot, cell.cycle_s, answered)}
-    teleoperator = Teleoperator(robot, cell.cycle_s, ModeName.ADVISOR, modes=modes)
+    modes = {DrivingMode.ADVISOR: lambda robot: AdvisorMode(robot, cell.cycle_s, answered)}
+    teleoperator = Teleoperator(robot, cell.cycle_s, DrivingMode.ADVISOR, modes=modes)
     statistics, enough = ControlStatistics(), asyncio.Event()
     asyncio.get_running_loop().add_signal_handler(signal.SIGINT, enough.set)
     async with connect_to(cell.hli, client="deltaq advise") as running:

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from deltaq_cell.description import CellDescription
     from deltaq_controllers.modes.teleoperator import Teleoperator
     from deltaq_controllers.operator_input.interface import OperatorInput
-    from deltaq_controllers.operator_input.master import Clutch
     from deltaq_protocol.client import Cell
     from deltaq_protocol.errors import DeltaqError
 
@@ -175,12 +174,12 @@ class _Choice:
         import asyncio
         from contextlib import ExitStack
 
-        from deltaq_controllers.modes.motion import Frame, ModeName
         from deltaq_controllers.statistics import ControlStatistics
         from deltaq_controllers.teleoperation import DriveLog, SignalLog, teleoperate, teleoperator_for
         from deltaq_deploy.command.drive_display import Display, summary
         from deltaq_deploy.launch.cell_connection import OtherCellError
         from deltaq_protocol import connect
+        from deltaq_protocol.driving import DrivingMode, Frame
         from deltaq_protocol.errors import DeltaqError
 
         async with connect(self.cell.hli, client="deltaq drive") as running:
@@ -191,7 +190,7 @@ class _Choice:
                 )
             cycle_s = running.description.cycle_s
             with ExitStack() as stack:
-                modes, advised = (ModeName(self.mode), Frame(self.frame)), self.advised
+                modes, advised = (DrivingMode(self.mode), Frame(self.frame)), self.advised
                 teleoperator = teleoperator_for(
                     running,
                     self.robot,
@@ -237,9 +236,10 @@ class _Choice:
         model = model_of(robot_models(running.description), name)
         print(master.HELP, file=sys.stderr)
         look = master.looking_at(running, name, self.robot)
-        return master.Master(teleoperator, model, look, self._held(running, teleoperator), scale)
+        leader = master.Master(teleoperator, model, look, scale)
+        return master.LedInput(self._held(running, teleoperator), leader)
 
-    def _held(self, running: Cell, teleoperator: Teleoperator) -> Clutch:
+    def _held(self, running: Cell, teleoperator: Teleoperator) -> OperatorInput:
         """The device in the operator's hand."""
         from deltaq_controllers.operator_input import gamepad, keyboard, spacemouse
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from deltaq_controllers.advisor.advisor import NOT_LOOKED_FOR
 from deltaq_controllers.modes.advisor import AdvisorMode
-from deltaq_controllers.modes.motion import Grip, ModeName
+from deltaq_protocol.driving import DrivingMode, Grip
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
 from deltaq_protocol.reasons import ReasonCode
 
@@ -148,9 +148,9 @@ class Display:
         self._switched = len(self._signals.switched)
 
     def _show_options(self) -> None:
-        if self._teleoperator.mode is not ModeName.ADVISOR:
+        if self._teleoperator.mode is not DrivingMode.ADVISOR:
             return
-        mode = self._teleoperator.mode_named(ModeName.ADVISOR)
+        mode = self._teleoperator.mode_named(DrivingMode.ADVISOR)
         assert isinstance(mode, AdvisorMode)
         lines = {rank: option_line(rank, option) for rank, option in enumerate(mode.options, start=1)}
         start = "\r\x1b[2K" if self._is_terminal else ""

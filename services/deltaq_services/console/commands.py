@@ -15,10 +15,10 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from deltaq_protocol.codec import place, shown
 from deltaq_protocol.driving import (
-    Axes,
     Coordinate,
     DrivingMode,
-    HandGrip,
+    Frame,
+    Grip,
     MasterScale,
     QuaternionPart,
     TradeOff,
@@ -117,8 +117,8 @@ class SetMode(ConsoleCommand):
     type: Literal["mode"]
     robot: Name
     mode: DrivingMode
-    frame: Axes = "world"
-    grip: HandGrip | None = None
+    frame: Frame = Frame.WORLD
+    grip: Grip | None = None
 
 
 class SetMaster(ConsoleCommand):

@@ -52,7 +52,7 @@ class DriverProcess:
     def send(self, request: driving.DriverRequest) -> None:
         """Ask it for something; it is started if it does not run."""
         if self._running is None:
-            if isinstance(request, driving.Wish):
+            if request.id is None:
                 return  # nobody moves
             self._running = asyncio.ensure_future(self._run())
         if self._process is None:

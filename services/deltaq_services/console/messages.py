@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from deltaq_protocol.driving import Axes, DrivingMode, Fraction, HandGrip, HandsOff, Search, Way
+from deltaq_protocol.driving import DrivingMode, Fraction, Frame, Grip, HandsOff, Search, Way
 from deltaq_protocol.messages import Count, Message, Outcome, Phase, Real, Reason, RobotState, Sight, Verdict
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 
@@ -142,8 +142,8 @@ class RobotStatusView(Message):
     remedy: str = ""
     lease: LeaseView = LeaseView()
     mode: DrivingMode | None = None
-    frame: Axes = "world"
-    grip: HandGrip = "free"
+    frame: Frame = Frame.WORLD
+    grip: Grip = Grip.FREE
     hands_off: HandsOff | None = None
     master: str = ""
     master_scale: Real = 1.0

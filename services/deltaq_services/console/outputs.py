@@ -77,7 +77,7 @@ class PendingRequests:
         sent: list[ConsoleOutput] = []
         for request in requests:
             sent.append(request)
-            if not isinstance(request.request, driving.Wish):
+            if request.request.id is not None:
                 self._asked[request.request.id] = (client, command, request)
         return sent
 

@@ -72,26 +72,34 @@ class RobotSide:
         self._max_velocity = robot.max_velocity
         self._has_camera = robot.camera is not None
 
-    def wish_of(self, jog: Jog) -> driving.Wish:
-        """The wish that a jog means.
+    def wish_of(self, jog: Jog) -> driving.Command:
+        """The command that a jog means.
 
         Raises:
             ValueError: it does not fit the robot; with field, value and bound.
         """
         if jog.option is not None:
-            return driving.Wish(option=jog.option)
-        if jog.led:
-            return self._led_wish(jog)
-        if jog.hand:
-            hand = self._free_hand(jog.hand)
-            if len(jog.wish) != _TWIST:
-                raise ValueError(f"wish: a twist has {_TWIST} elements, got {len(jog.wish)}")
-            for what, bound, part in (("m/s", MOST_M_S, jog.wish[:3]), ("rad/s", MOST_RAD_S, jog.wish[3:])):
-                size = float(np.linalg.norm(part))
-                if size > bound * (1.0 + 1e-9):
-                    raise ValueError(f"wish: {size:g} {what} is too fast for a hand; bound {bound:g}")
-            x, y, z, rx, ry, rz = jog.wish
-            return driving.Wish(twist=(x, y, z, rx, ry, rz), hand=hand)
+            wish = driving.OperatorCommand(option=jog.option)
+        elif jog.led:
+            wish = driving.OperatorCommand(led=self._led_hand(jog))
+        elif jog.hand:
+            wish = driving.OperatorCommand(self._hand_rates(jog))
+        else:
+            wish = driving.OperatorCommand(self._joint_rates(jog))
+        return driving.Command(command=wish)
+
+    def _hand_rates(self, jog: Jog) -> dict[str, float]:
+        hand = self._free_hand(jog.hand)
+        if len(jog.wish) != _TWIST:
+            raise ValueError(f"wish: a twist has {_TWIST} elements, got {len(jog.wish)}")
+        for what, bound, part in (("m/s", MOST_M_S, jog.wish[:3]), ("rad/s", MOST_RAD_S, jog.wish[3:])):
+            size = float(np.linalg.norm(part))
+            if size > bound * (1.0 + 1e-9):
+                raise ValueError(f"wish: {size:g} {what} is too fast for a hand; bound {bound:g}")
+        axes = (f"{hand}.{axis}" if hand else axis for axis in driving.HAND_AXES)
+        return {axis: rate for axis, rate in zip(axes, jog.wish, strict=True) if rate}
+
+    def _joint_rates(self, jog: Jog) -> dict[str, float]:
         if len(jog.wish) != len(self._max_velocity):
             raise ValueError(
                 f"wish: {self.name} has {len(self._max_velocity)} joints, got {len(jog.wish)} elements"
@@ -99,14 +107,14 @@ class RobotSide:
         for joint, speed, bound in zip(self.units, jog.wish, self._max_velocity, strict=True):
             if abs(speed) > bound * (1.0 + 1e-9):
                 raise ValueError(f"wish: {joint} at {speed:g} {self.units[joint]}/s; bound {bound:g}")
-        return driving.Wish(joints=jog.wish)
+        return {joint: speed for joint, speed in zip(self.units, jog.wish, strict=True) if speed}
 
-    def _led_wish(self, jog: Jog) -> driving.Wish:
+    def _led_hand(self, jog: Jog) -> str:
         if any(jog.wish):
             raise ValueError("wish: the master leads, and a wish beside it moves too; leave one of them out")
         if self.report is None or not self.report.master:
             raise ValueError(f"led: no master was chosen for {self.name}; it may be {self._may_lead}")
-        return driving.Wish(hand=self._free_hand(jog.hand or ALL_HANDS), led=True)
+        return self._free_hand(jog.hand or ALL_HANDS)
 
     @property
     def _may_lead(self) -> str:
@@ -142,7 +150,8 @@ class RobotSide:
                 raise ValueError(
                     f"grip: {self.name} has one hand, and an object is held by two or more; it has grip free"
                 )
-            return driving.ChangeMode(id=request, mode=command.mode, frame=command.frame, grip=command.grip)
+            settings = driving.OperatorCommand(mode=command.mode, frame=command.frame, grip=command.grip)
+            return driving.Command(id=request, command=settings)
         if isinstance(command, SetMaster):
             if command.master and command.master not in self._others:
                 raise ValueError(
@@ -166,7 +175,8 @@ class RobotSide:
         names = tuple(self.outputs)
         if command.index >= len(names):
             raise ValueError(f"index: outputs of {self.name}: {len(names)}, got {command.index}")
-        return driving.Switch(id=request, outputs={names[command.index]: command.value})
+        outputs = {names[command.index]: command.value}
+        return driving.Command(id=request, command=driving.OperatorCommand(outputs=outputs))
 
     def view_of(self, command: ViewCommand) -> ViewWish:
         """The view that a follower is asked for.
