@@ -25,9 +25,8 @@ from deltaq_controllers.camera.outlook import Outlook
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import ControllerError, HeldBack, LastIncrement, RobotView, View
 from deltaq_controllers.limits import IncrementLimits
-from deltaq_controllers.live import cell_model, drive, run
+from deltaq_controllers.live import ControlStatistics, ErrorStatistics, cell_model, drive, run
 from deltaq_controllers.robot_clocks import ClockReading
-from deltaq_controllers.statistics import ControlStatistics, ErrorStatistics
 from deltaq_protocol import connect
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import DEFAULT_ADDRESS

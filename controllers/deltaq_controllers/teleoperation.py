@@ -18,14 +18,20 @@ from deltaq_controllers.advisor.process import AdvisorProcess
 from deltaq_controllers.answers import Answers, lease
 from deltaq_controllers.criteria.postures import RobotData
 from deltaq_controllers.criteria.table import check_known
-from deltaq_controllers.live import cell_model, control_loop, model_of, robot_models, where_others_are
+from deltaq_controllers.live import (
+    ControlStatistics,
+    cell_model,
+    control_loop,
+    model_of,
+    robot_models,
+    where_others_are,
+)
 from deltaq_controllers.modes.advisor import AdvisorMode, tracker_of
 from deltaq_controllers.modes.hand_modes import CoupledMode, weighed
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.practice import practise
 from deltaq_controllers.modes.teleoperator import MODES, Teleoperator
 from deltaq_controllers.operator_input.interface import OperatorInput
-from deltaq_controllers.statistics import ControlStatistics
 from deltaq_controllers.surroundings.surroundings import RobotSurroundings
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell

@@ -34,11 +34,10 @@ from deltaq_controllers.interface import Controller, View
 from deltaq_controllers.leader.attacking import AttackingLeader
 from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_controllers.limits import IncrementLimits
-from deltaq_controllers.live import drive
+from deltaq_controllers.live import ControlStatistics, drive
 from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.interface import OperatorInput
-from deltaq_controllers.statistics import ControlStatistics
 from deltaq_controllers.teleoperation import DriveLog, SignalLog, teleoperate, teleoperator_for
 from deltaq_deploy.command.drive_display import Display
 from deltaq_protocol.client import Cell

@@ -14,10 +14,10 @@ import pinocchio as pin
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.camera import FOLLOWS
+from deltaq_controllers.live import ControlStatistics
 from deltaq_controllers.operated.__main__ import drive_by_lines
 from deltaq_controllers.operator_input.interface import OperatorInput
 from deltaq_controllers.operator_input.master import LedInput, Master, looking_at
-from deltaq_controllers.statistics import ControlStatistics
 from deltaq_controllers.teleoperation import teleoperate, teleoperator_for
 from deltaq_protocol.driving import HAND_AXES, DriverMessage, DrivingMode, OperatorCommand
 

@@ -20,9 +20,8 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.advisor.process import AdvisorProcess
 from deltaq_controllers.answers import lease
 from deltaq_controllers.interface import View
-from deltaq_controllers.live import drive
+from deltaq_controllers.live import ControlStatistics, drive
 from deltaq_controllers.modes.advisor import tracker_of
-from deltaq_controllers.statistics import ControlStatistics
 from deltaq_protocol import connect
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell

@@ -15,12 +15,12 @@ from first_cycles import QuietCell, Waits
 from virtual_pad import VirtualPad
 
 from deltaq_controllers.interface import ControllerError
+from deltaq_controllers.live import ControlStatistics
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.gamepad import SETTLE_S, Gamepad, PadButton, StickAxis, Trigger
 from deltaq_controllers.operator_input.interface import DEAD_ZONE
 from deltaq_controllers.operator_input.view_distance import AskedViewDistance
-from deltaq_controllers.statistics import ControlStatistics
 from deltaq_controllers.teleoperation import teleoperate
 from deltaq_protocol.driving import DrivingMode, Grip, OperatorCommand
 from deltaq_protocol.pad_layout import PAD_LAYOUT, PadFunction

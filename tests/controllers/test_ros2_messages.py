@@ -1,6 +1,5 @@
-"""The two ROS messages in CDR: byte for byte what another library makes, and nothing hostile is read."""
+"""The ROS messages in CDR, as another library writes and reads them; what is hostile is refused. Names of ROS."""
 
-import math
 import struct
 
 import pytest
@@ -57,20 +56,17 @@ def test_a_joint_state_is_byte_for_byte_that_of_another_library(stamp, frame_id,
     ours = JointState(Header(RosTime(*stamp), frame_id), tuple(names), *map(tuple, values))
     theirs = ros_types.joint_state(stamp, frame_id, names, *values)
     assert ours.encode() == theirs
-    assert JointState.decode(theirs) == ours
 
 
 @pytest.mark.long
 @given(times, texts, names, points)
-def test_a_trajectory_is_byte_for_byte_that_of_another_library(stamp, frame_id, names, points):
-    ours = trajectory(names, points, stamp, frame_id)
+def test_a_trajectory_is_read_as_another_library_has_written_it(stamp, frame_id, names, points):
     theirs = ros_types.joint_trajectory(names, points, stamp, frame_id)
-    assert ours.encode() == theirs
-    assert JointTrajectory.decode(theirs) == ours
+    assert JointTrajectory.decode(theirs) == trajectory(names, points, stamp, frame_id)
 
 
-def test_both_are_what_the_rules_say_when_written_down_by_hand():
-    assert trajectory((), [((1.5,), (), (), (), (1, 0))], (2, 5)).encode() == BY_HAND
+def test_a_trajectory_is_what_the_rules_say_when_written_down_by_hand():
+    assert JointTrajectory.decode(BY_HAND) == trajectory((), [((1.5,), (), (), (), (1, 0))], (2, 5))
     assert ros_types.joint_trajectory((), [((1.5,), (), (), (), (1, 0))], (2, 5)) == BY_HAND
 
 
@@ -104,7 +100,7 @@ def test_bytes_of_anybody_are_a_message_or_are_refused(body):
 @pytest.mark.long
 @given(points, st.data())
 def test_a_message_that_is_cut_off_or_changed_is_a_message_or_is_refused(points, data):
-    whole = bytearray(trajectory(("a1", "a2"), points).encode())
+    whole = bytearray(ros_types.joint_trajectory(("a1", "a2"), points))
     cut = whole[: data.draw(st.integers(0, len(whole) - 1))]
     with pytest.raises(RefusedMessageError):
         JointTrajectory.decode(bytes(cut[:-4] if len(cut) > 4 else cut))
@@ -145,14 +141,13 @@ def test_what_is_hostile_is_refused_by_field_value_and_bound(message, text):
 
 
 def test_a_name_that_is_no_text_is_refused():
-    message = JointTrajectory(joint_names=("ab",)).encode().replace(b"ab\0", b"\xff\xfe\0")
+    message = ros_types.joint_trajectory(("ab",), ()).replace(b"ab\0", b"\xff\xfe\0")
     with pytest.raises(RefusedMessageError, match=r"joint_names\[0\] is not in UTF-8"):
         JointTrajectory.decode(message)
 
 
 def test_padding_to_a_multiple_of_four_is_no_error():
-    message = JointState(name=("a",), position=(math.pi,)).encode()
-    assert JointState.decode(message + bytes(3)) == JointState.decode(message)
+    assert JointTrajectory.decode(BY_HAND + bytes(3)) == JointTrajectory.decode(BY_HAND)
 
 
 # Keys, tokens and attachments beside the examples that rmw_zenoh's design document prints.

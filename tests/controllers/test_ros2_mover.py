@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ros_points import ATTACHMENT, point, trajectory
+from ros_points import ATTACHMENT, encoded, point, trajectory
 from small_cell import small_cell, tool_pose
 
 from deltaq_cell.cell_model import robot_summary
@@ -49,7 +49,7 @@ class Driven:
 
     def hear(self, *points: Any) -> None:
         message = trajectory(self.summary.joints, *points) if points else JointTrajectory()
-        self.mover.hear(message.encode(), ATTACHMENT, 0)
+        self.mover.hear(encoded(message), ATTACHMENT, 0)
 
     def _note(self, message: Any) -> None:
         self._told(message)
@@ -203,7 +203,7 @@ def test_a_trajectory_that_begins_elsewhere_is_refused_and_moves_nothing(lab: An
     driven = Driven(lab)
     driven.hear(point(0, driven.home + 0.1), point(1, driven.home))
     driven.mover.hear(b"\x00\x01\x00\x00", ATTACHMENT, 0)
-    driven.mover.hear(JointTrajectory().encode(), None, 0)
+    driven.mover.hear(encoded(JointTrajectory()), None, 0)
     driven.cell.run(0.2)
     assert driven.mover.counters == {
         "trajectories": 1, "refused": 3, "refused_malformed": 1, "refused_attachment": 1, "refused_start": 1,
@@ -251,7 +251,7 @@ def test_a_robot_that_left_its_path_is_not_brought_back() -> None:
     arm = robot_summary(cell.robots["fr"], cell.cycle_s)
     said: list[str] = []
     mover = TrajectoryMover("fr", arm, cell.cycle_s, lambda text, _: said.append(text))
-    mover.hear(trajectory(arm.joints, point(2, [0.5] * 6)).encode(), ATTACHMENT, 0)
+    mover.hear(encoded(trajectory(arm.joints, point(2, [0.5] * 6))), ATTACHMENT, 0)
     here, away = np.full(6, 0.1), np.array([0.1, 0.2, 0.1, 0.1, 0.1, 0.1])
     for cycle, q in enumerate((here, here, away, away)):
         dq = mover.increment(_state(cycle, q), View(RobotView(cycle, 0.0, q, q)))
@@ -264,7 +264,7 @@ def test_a_trajectory_begins_when_the_robot_rests_and_not_before() -> None:
     arm = robot_summary(cell.robots["fr"], cell.cycle_s)
     said: list[str] = []
     mover = TrajectoryMover("fr", arm, cell.cycle_s, lambda text, _: said.append(text))
-    mover.hear(trajectory(arm.joints, point(0, [0.1] * 6), point(1, [0.3] * 6)).encode(), ATTACHMENT, 0)
+    mover.hear(encoded(trajectory(arm.joints, point(0, [0.1] * 6), point(1, [0.3] * 6))), ATTACHMENT, 0)
     for cycle, q in enumerate((0.3, 0.2, 0.1)):  # the brake of another client
         joints = np.full(6, q)
         assert not mover.increment(_state(cycle, joints), View(RobotView(cycle, 0.0, joints, joints))).any()

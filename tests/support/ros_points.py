@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+from ros_types import joint_trajectory
+
 from deltaq_controllers.ros2.messages import JointTrajectory, JointTrajectoryPoint, RosTime
 from deltaq_controllers.ros2.rmw import RosAttachment
 
@@ -22,6 +24,20 @@ def point(
 def trajectory(joints: Iterable[str], *points: JointTrajectoryPoint, **header: Any) -> JointTrajectory:
     """A trajectory of these points."""
     return JointTrajectory(joint_names=tuple(joints), points=points, **header)
+
+
+def encoded(message: JointTrajectory) -> bytes:
+    """In CDR, by another library."""
+    points = [
+        (one.positions, one.velocities, one.accelerations, one.effort, _stamp(one.time_from_start))
+        for one in message.points
+    ]
+    header = message.header
+    return joint_trajectory(message.joint_names, points, _stamp(header.stamp), header.frame_id)
+
+
+def _stamp(time: RosTime) -> tuple[int, int]:
+    return time.sec, time.nanosec
 
 
 def _floats(values: Iterable[float]) -> tuple[float, ...]:

@@ -12,8 +12,7 @@ from deltaq_cell.roles import camera_roles
 from deltaq_controllers.interface import Controller
 from deltaq_controllers.leader.attacking import TARGETS, AttackingLeader
 from deltaq_controllers.leader.scripted import STICK_ACCELERATION_M_S2, ScriptedLeader
-from deltaq_controllers.live import drive, model_of, robot_models, run
-from deltaq_controllers.statistics import ControlStatistics
+from deltaq_controllers.live import ControlStatistics, drive, model_of, robot_models, run
 from deltaq_protocol import connect
 from deltaq_protocol.client import DEFAULT_ADDRESS
 

@@ -286,15 +286,6 @@ class JointState:
             cdr.float64s(values)
         return cdr.message
 
-    @classmethod
-    def decode(cls, message: bytes) -> Self:
-        """The same from CDR; raises `RefusedMessageError`."""
-        cdr = CdrReader(message)
-        header, name = Header.read(cdr), cdr.strings("name", MAX_JOINTS, MAX_NAME_BYTES)
-        values = [cdr.float64s(quantity, MAX_JOINTS) for quantity in ("position", "velocity", "effort")]
-        cdr.end()
-        return cls(header, name, *values)
-
 
 @dataclass(frozen=True, slots=True)
 class JointTrajectoryPoint:
@@ -305,12 +296,6 @@ class JointTrajectoryPoint:
     accelerations: tuple[float, ...] = ()
     effort: tuple[float, ...] = ()
     time_from_start: RosTime = field(default_factory=RosTime)
-
-    def write(self, cdr: CdrWriter) -> None:
-        """Append the fields."""
-        for values in (self.positions, self.velocities, self.accelerations, self.effort):
-            cdr.float64s(values)
-        self.time_from_start.write(cdr)
 
     @classmethod
     def read(cls, cdr: CdrReader, name: str) -> Self:
@@ -334,16 +319,6 @@ class JointTrajectory:
         "trajectory_msgs/msg/JointTrajectory",
         "RIHS01_179b33eba59d676f6d967ac71fe35e7ca2f64b2f3928f4a018cec115e213796e",
     )
-
-    def encode(self) -> bytes:
-        """The message in CDR."""
-        cdr = CdrWriter()
-        self.header.write(cdr)
-        cdr.strings(self.joint_names)
-        cdr.uint32(len(self.points))
-        for point in self.points:
-            point.write(cdr)
-        return cdr.message
 
     @classmethod
     def decode(cls, message: bytes) -> Self:

@@ -21,10 +21,10 @@ from deltaq_controllers.advisor.exact import ExactClearance
 from deltaq_controllers.advisor.problem import AdvisorError, AdvisorProblem
 from deltaq_controllers.advisor.session import Answered
 from deltaq_controllers.inverse.tracking import ConstraintTracker, first_redundant
+from deltaq_controllers.live import ControlStatistics
 from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.script import GoToOption
-from deltaq_controllers.statistics import ControlStatistics
 from deltaq_controllers.teleoperation import teleoperate
 from deltaq_deploy.launch.cell_connection import connect, known_robot
 from deltaq_protocol import connect as connect_to

@@ -174,7 +174,7 @@ class _Choice:
         import asyncio
         from contextlib import ExitStack
 
-        from deltaq_controllers.statistics import ControlStatistics
+        from deltaq_controllers.live import ControlStatistics
         from deltaq_controllers.teleoperation import DriveLog, SignalLog, teleoperate, teleoperator_for
         from deltaq_deploy.command.drive_display import Display, summary
         from deltaq_deploy.launch.cell_connection import OtherCellError

@@ -13,9 +13,9 @@ from deltaq_protocol.reasons import ReasonCode
 
 if TYPE_CHECKING:
     from deltaq_controllers.advisor.advisor import Option
+    from deltaq_controllers.live import ControlStatistics
     from deltaq_controllers.modes.teleoperator import Teleoperator
     from deltaq_controllers.operator_input.interface import OperatorInput
-    from deltaq_controllers.statistics import ControlStatistics
     from deltaq_controllers.teleoperation import DriveLog, SignalLog
 
 
