@@ -94,6 +94,7 @@ class OperatorCommand:
     led: Annotated[str, Field(max_length=64)] | None = None
 
 
+StepCycles = Annotated[int, Field(ge=1, le=1000)]
 MasterScale = Annotated[float, Field(ge=0.01, le=5.0, allow_inf_nan=False)]
 """Way of a hand for each metre of its master's."""
 
@@ -118,12 +119,13 @@ class Command(Message):
     """An operator's command: its motion is good for `WISH_S`, an empty one is rest.
 
     In another mode or grip the robot first comes to rest in the earlier one. With an `id` it is answered, when its
-    outputs are switched.
+    outputs are switched. `cycles` makes it a step: its motion lasts so many of the robot's cycles, not `WISH_S`.
     """
 
     type: Literal["command"] = "command"
     id: RequestId | None = None
     command: OperatorCommand = OperatorCommand()
+    cycles: StepCycles | None = None
 
 
 class ChooseMaster(Message):
@@ -162,7 +164,15 @@ class Reach(Message):
     quaternion_wxyz: tuple[QuaternionPart, QuaternionPart, QuaternionPart, QuaternionPart]
 
 
-DriverRequest = Take | Release | Command | ChooseMaster | Advise | Reach
+class ReachJoints(Message):
+    """In mode `pose`: plan the way to a configuration, (n,) [rad or m], as `Reach` does to a pose."""
+
+    type: Literal["reach_joints"] = "reach_joints"
+    id: RequestId
+    q: Joints
+
+
+DriverRequest = Take | Release | Command | ChooseMaster | Advise | Reach | ReachJoints
 REQUESTS: TypeAdapter[DriverRequest] = TypeAdapter(Annotated[DriverRequest, Field(discriminator="type")])
 
 

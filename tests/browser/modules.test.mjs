@@ -5,7 +5,7 @@ import { mock, test } from "node:test";
 
 const folder = process.env.DELTAQ_BROWSER_MODULES;
 const load = (name) => import(`${folder}/${name}.js`);
-const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { Gamepad, shaped, wishOf }, { csvCell }, { Player, Replay }, drag, { score }, hands, { Pace }, { framed }, { boxesBeside, roomOf }, { axisOf, axisText }, { modesOf }, { Handover, UNSEEN_MS }, { targetsOf }, { dateText, poseText }] = await Promise.all(
+const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { Gamepad, shaped, wishOf }, { csvCell }, { Player, Replay }, drag, { score }, hands, { Pace }, { framed }, { boxesBeside, roomOf }, { axisOf, axisText }, { modesOf }, { Handover, UNSEEN_MS }, { targetsOf }, { anglesOf, dateText, poseText }] = await Promise.all(
   ["connection", "live", "stop", "wish", "frame", "series", "gamepad", "event_log", "replay", "drag_math", "advisor_cards", "hands", "pace", "framing", "tags", "plots", "modes", "handover", "look_at", "dom"].map(load),
 );
 
@@ -866,4 +866,10 @@ test("modes are offered to robots that have the joints for them", () => {
 test("dates are told in one form, on the reader's clock", () => {
   const noon = new Date(2026, 10, 8, 12, 5, 9);
   assert.equal(dateText(noon / 1000), "2026-11-08 12:05:09");
+});
+
+test("a pose that is turned to angles has them, and keeps its position", () => {
+  const T = drag.withAngles([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 4, 5, 6, 1], [30, -40, 110]);
+  for (const [k, angle] of anglesOf(T).entries()) assert.ok(Math.abs(angle - [30, -40, 110][k]) < 1e-9);
+  assert.deepEqual([...T.slice(12)], [4, 5, 6, 1]);
 });

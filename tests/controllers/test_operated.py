@@ -23,6 +23,7 @@ from deltaq_protocol.driving import (
     Frame,
     Grip,
     OperatorCommand,
+    ReachJoints,
 )
 from deltaq_protocol.messages import ViewWish
 
@@ -268,6 +269,37 @@ def test_a_stop_ends_the_following():
     assert bench.pilot.report(DriverStage.LEASED).mode is DrivingMode(DrivingMode.JOINT.value)
 
 
+STEP_CYCLES = 42
+
+
+@pytest.mark.parametrize("share", [1.0, -1.0])
+def test_a_step_turns_a_joint_by_one_degree_and_moves_a_hand_by_five_millimetres(bench, share):
+    duration_s = STEP_CYCLES * CYCLE_S
+
+    def step(axis, size):
+        before = bench.q
+        bench.pilot.take(OperatorCommand({axis: share * size / duration_s}), bench.now_s, STEP_CYCLES)
+        bench.cycles(3 * STEP_CYCLES)
+        assert bench.cycles(5) == [None] * 5, "it ends by itself"
+        return before
+
+    before = step("a6", np.deg2rad(1.0))
+    assert np.rad2deg(bench.q - before) == pytest.approx([0, 0, 0, 0, 0, share], abs=1e-6)
+    bench.changes(DrivingMode.COUPLED)
+    bench.cycles(20)
+    before = step("z", 0.005)
+    moved = bench.robot.forward(bench.q)[:3, 3] - bench.robot.forward(before)[:3, 3]
+    assert moved == pytest.approx([0, 0, share * 0.005], abs=1e-6)
+
+
+def test_a_step_ends_with_the_next_wish(bench):
+    bench.pilot.take(OperatorCommand({"a6": 0.2}), bench.now_s, 1000)
+    bench.cycles(50)
+    bench.wishes()
+    bench.cycles(50)
+    assert bench.cycles(5) == [None] * 5
+
+
 RISE_M = 0.1
 
 
@@ -321,6 +353,25 @@ def test_a_held_wish_brings_the_hand_to_the_pose_and_letting_go_rests_on_the_way
     raised = bench.robot.forward(bench.q)[2, 3] - bench.robot.forward(bench.robot.home)[2, 3]
     assert raised == pytest.approx(RISE_M, abs=1e-6)
     assert bench.pilot.report(DriverStage.LEASED).search.arrived
+
+
+def test_a_configuration_is_gone_to_as_a_pose_is(bench):
+    in_mode_pose(bench)
+    target = tuple(bench.robot.home + np.array([0.0, 0.0, 0.0, 0.2, 0.0, 0.3]))
+    bench.pilot.take_reach(bench.pilot.plan(ReachJoints(id="1", q=target), bench.robot.home, {}))
+    (way,) = bench.pilot.ways().ways
+    assert (way.clear, way.q) == (1.0, pytest.approx(target, abs=1e-5))
+    bench.goes(200)
+    assert bench.q == pytest.approx(np.array(target), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("q", "words"), [((0.0,) * 5, "q: fr has 6 joints, got 5"), ((9.0,) + (0.0,) * 5, "a1 at 9 .* bounds")]
+)
+def test_a_configuration_that_the_robot_does_not_have_is_refused_with_its_bound(bench, q, words):
+    in_mode_pose(bench)
+    with pytest.raises(ControllerError, match=words):
+        bench.pilot.plan(ReachJoints(id="1", q=q), bench.robot.home, {})
 
 
 def test_a_way_is_forgotten_with_its_mode(bench, planned):

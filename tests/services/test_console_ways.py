@@ -95,3 +95,15 @@ def test_how_far_a_search_is_is_part_of_the_status(bench, desk):
     bench.core.drivers.said("fr", report, bench.now_s)
     assert desk.status().robots["fr"].search == search
     assert desk.status().robots["gr"].search is None
+
+
+def test_a_configuration_and_a_step_reach_the_driver(bench, desk):
+    q = list(bench.cell.robots["fr"].home)
+    assert desk.send("reach_joints", robot="fr", q=q).outcome is ASKED
+    assert bench.driver_requests()[-1].q == tuple(q)
+    bench.states()
+    assert desk.send("jog", robot="fr", wish=[0, 0, 0, 0, 0, 0.03], cycles=42).outcome is AckOutcome.DONE
+    step = bench.driver_requests()[-1]
+    assert (step.command.rates, step.cycles) == ({"a6": 0.03}, 42)
+    ack = desk.send("jog", robot="fr", wish=[0, 0, 0, 0, 0, 0.03], cycles=1001)
+    assert ack.text == "cycles: should be less than or equal to 1000, got 1001; bound 1000"

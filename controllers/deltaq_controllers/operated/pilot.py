@@ -23,6 +23,7 @@ from deltaq_protocol.driving import (
     Grip,
     OperatorCommand,
     Reach,
+    ReachJoints,
     Way,
 )
 from deltaq_protocol.errors import DeltaqError
@@ -97,10 +98,15 @@ class Pilot:
         else:
             self._teleoperator.mode_named(mode)
 
-    def take(self, command: OperatorCommand, now_s: float) -> None:
+    def take(self, command: OperatorCommand, now_s: float, cycles: int | None = None) -> None:
         """Follow a command: its mode, axes and grip from the next rest on, its motion for as long as a wish lasts.
 
         Outputs are for the caller; without a motion they let the present one go on.
+
+        Args:
+            command: to follow.
+            now_s: time [s].
+            cycles: of its motion, which then is a step; None for as many as a wish lasts.
 
         Raises:
             ControllerError: the mode could not be prepared or does not drive that, the robot has one hand, or the mode
@@ -110,7 +116,7 @@ class Pilot:
             self._change_mode(command)
         wish = OperatorCommand(command.rates, option=command.option, led=command.led)
         if wish != REST or not command.outputs:
-            self._wish(wish, now_s)
+            self._wish(wish, now_s, cycles)
 
     def _change_mode(self, command: OperatorCommand) -> None:
         mode = command.mode or self._mode
@@ -158,18 +164,20 @@ class Pilot:
         if not self._is_still:
             raise ControllerError("the robot moves: let it come to rest, and choose the pose then")
 
-    def plan(self, reach: Reach, q: Array, others: Mapping[str, Array]) -> PlannedReach:
-        """The way to a pose, in mode pose; any thread may.
+    def plan(self, reach: Reach | ReachJoints, q: Array, others: Mapping[str, Array]) -> PlannedReach:
+        """The way to a pose or a configuration, in mode pose; any thread may.
 
         Args:
-            reach: the pose.
+            reach: the pose, or the configuration.
             q: (n,) setpoint at which the robot rests.
             others: (n,) setpoint of each other robot.
 
         Raises:
-            ControllerError: the hand cannot be brought there.
+            ControllerError: the robot cannot be brought there.
         """
         assert self._planner is not None  # prepared before the mode was changed
+        if isinstance(reach, ReachJoints):
+            return self._planner.plan_joints(q, others, reach.q)
         return self._planner.plan(q, others, reach.hand, reach.position_m, reach.quaternion_wxyz)
 
     def take_reach(self, reach: PlannedReach) -> None:
@@ -182,7 +190,7 @@ class Pilot:
         self.rest()
         self._reach = reach
 
-    def _wish(self, wish: OperatorCommand, now_s: float) -> None:
+    def _wish(self, wish: OperatorCommand, now_s: float, cycles: int | None) -> None:
         self.rest()
         if self._mode is DrivingMode.FOLLOW:
             if wish != REST:
@@ -193,7 +201,7 @@ class Pilot:
                 raise ControllerError("in mode pose the robot goes only to a pose that was planned")
         else:
             self.wishes.check(wish, self._mode)
-        self.wishes.take(wish, now_s)
+        self.wishes.take(wish, now_s, cycles)
 
     def rest(self) -> None:
         """Wish for nothing."""

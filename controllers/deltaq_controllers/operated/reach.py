@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -182,6 +182,29 @@ class ReachPlanner:
                 f"{self._robot.name} cannot bring its hand there: it is out of reach, or a joint would pass its limit"
             )
         return self._planned(*best)
+
+    def plan_joints(self, q: Array, others: Mapping[str, Array], end: Sequence[float]) -> PlannedReach:
+        """The way to a configuration.
+
+        Args:
+            q: (n,) setpoint at which the robot rests.
+            others: (n,) setpoint of each other robot.
+            end: (n,) configuration at its end [rad or m].
+
+        Raises:
+            ControllerError: not an element for each joint, or one beyond its limit.
+        """
+        robot = self._robot
+        if len(end) != robot.n:
+            raise ControllerError(f"q: {robot.name} has {robot.n} joints, got {len(end)} elements")
+        for joint, value, lower, upper in zip(robot.joint_names, end, robot.lower, robot.upper, strict=True):
+            if not lower <= value <= upper:
+                raise ControllerError(
+                    f"q: {joint} at {value:g} is beyond its limits; bounds {lower:g} and {upper:g}"
+                )
+        self._exact.place(others)
+        path = _straight(q, np.array(end))
+        return self._planned(path, self._clear_until(path))
 
     def _index_of(self, hand: str) -> int:
         hands = self._robot.hands

@@ -28,6 +28,7 @@ from deltaq_protocol.driving import (
     DriverWays,
     DrivingMode,
     Reach,
+    ReachJoints,
     Release,
     Take,
 )
@@ -92,7 +93,7 @@ class OperatedRobot:
         match request:
             case Command(id=None):
                 with contextlib.suppress(ControllerError):  # the report says in which mode it is driven
-                    self._pilot.take(request.command, time.monotonic())
+                    self._pilot.take(request.command, time.monotonic(), request.cycles)
             case Take():
                 self._wanted.put_nowait(request)
             case Release():
@@ -106,12 +107,12 @@ class OperatedRobot:
                 self._tasks.add(task)
                 task.add_done_callback(self._tasks.discard)
 
-    async def _do(self, request: Command | ChooseMaster | Advise | Reach) -> None:
+    async def _do(self, request: Command | ChooseMaster | Advise | Reach | ReachJoints) -> None:
         text = ""
         try:
             match request:
                 case Command():
-                    self._pilot.take(request.command, time.monotonic())
+                    self._pilot.take(request.command, time.monotonic(), request.cycles)
                     await self._switch(request.command.outputs)
                 case ChooseMaster():
                     await asyncio.to_thread(self._pilot.wishes.choose_master, request.master, request.scale)
@@ -121,7 +122,7 @@ class OperatedRobot:
                         trade_off=request.trade_off,
                         hands_may_leave=request.hands_may_leave,
                     )
-                case Reach():
+                case Reach() | ReachJoints():
                     await self._reach(request)
         except DeltaqError as error:
             text = str(error)
@@ -134,7 +135,7 @@ class OperatedRobot:
             raise ControllerError("the robot's lease is not held")
         await self._leased.io(outputs)
 
-    async def _reach(self, request: Reach) -> None:
+    async def _reach(self, request: Reach | ReachJoints) -> None:
         """Plan at rest, in a thread: states are to be read meanwhile. Of several poses the newest counts."""
         self._pilot.check_reach()
         state = self._cell.state(self._robot)

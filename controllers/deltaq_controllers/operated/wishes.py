@@ -36,15 +36,16 @@ class Wishes:
         self.grip = Grip.FREE
         self.master: Master | None = None
         self._hands = Hands(teleoperator.robot)
+        self._cycles: int | None = None
         self.rest()
 
     def rest(self) -> None:
         """Wish for nothing."""
-        self._wish, self._until_s = REST, -np.inf
+        self._wish, self._until_s, self._cycles = REST, -np.inf, None
 
-    def take(self, wish: OperatorCommand, now_s: float) -> None:
-        """Wish for this motion from now on, for as long as a wish lasts."""
-        self._wish, self._until_s = wish, now_s + WISH_S
+    def take(self, wish: OperatorCommand, now_s: float, cycles: int | None = None) -> None:
+        """Wish for this motion from now on, for as long as a wish lasts, or for so many cycles."""
+        self._wish, self._until_s, self._cycles = wish, now_s + WISH_S, cycles
 
     def check(self, wish: OperatorCommand, mode: DrivingMode) -> None:
         """Check that a wish can be followed in a mode of the teleoperator.
@@ -70,7 +71,10 @@ class Wishes:
 
     def command(self, now_s: float) -> OperatorCommand:
         """The command of this cycle; `REST` if there is no wish."""
-        command = self._wish if now_s < self._until_s else REST
+        lasts = now_s < self._until_s
+        if self._cycles is not None:
+            lasts, self._cycles = self._cycles > 0, max(0, self._cycles - 1)
+        command = self._wish if lasts else REST
         return command if self.master is None else self.master.lead(command, now_s)
 
     def hands_off(self, q: Array) -> HandsOff | None:

@@ -21,6 +21,7 @@ from deltaq_protocol.driving import (
     Grip,
     MasterScale,
     QuaternionPart,
+    StepCycles,
     TradeOff,
 )
 from deltaq_protocol.errors import ProtocolError
@@ -45,6 +46,7 @@ EXPIRY_S = {
     "dry_run": _OTHER_S,
     "advise": _OTHER_S,
     "reach": _OTHER_S,
+    "reach_joints": _OTHER_S,
     "record": _OTHER_S,
     "replay": _OTHER_S,
 }
@@ -136,7 +138,7 @@ class Jog(ConsoleCommand):
     Without `hand` the wish is a speed for each joint, (n,) [rad/s or m/s]; with it a twist of that hand, (6,): three
     linear [m/s] and three angular [rad/s] in the axes of the mode's frame. A `hand` of `*` is all of them, or the
     object between them. `led` has the master lead that hand, in place of a wish. `option` is the rank of a way, held
-    down.
+    down. `cycles` makes the wish a step, which lasts so many of the robot's cycles and is not renewed.
     """
 
     type: Literal["jog"]
@@ -145,6 +147,7 @@ class Jog(ConsoleCommand):
     hand: Annotated[str, Field(max_length=64)] = ""
     led: bool = False
     option: Annotated[int, Field(ge=1, le=99)] | None = None
+    cycles: StepCycles | None = None
 
 
 class ViewDistance(ConsoleCommand):
@@ -196,6 +199,14 @@ class DragPose(ConsoleCommand):
     quaternion_wxyz: tuple[QuaternionPart, QuaternionPart, QuaternionPart, QuaternionPart]
 
 
+class DragJoints(ConsoleCommand):
+    """In mode `pose`: plan the way to a configuration, (n,) [rad or m]; nothing moves."""
+
+    type: Literal["reach_joints"]
+    robot: Name
+    q: Joints
+
+
 class DryRun(ConsoleCommand):
     """The gate's verdict on an increment if it came now, (n,) [rad or m]; nothing moves."""
 
@@ -218,7 +229,7 @@ class ReplayShown(ConsoleCommand):
     shown: bool
 
 
-DriverCommand = SetMode | SetMaster | SetOutput | AskAdvisor | DragPose
+DriverCommand = SetMode | SetMaster | SetOutput | AskAdvisor | DragPose | DragJoints
 """What a robot's driver is asked to do."""
 ViewCommand = ViewDistance | LookAt
 RobotCommand = Reset | LeaseCommand | ViewCommand | Jog | DryRun | DriverCommand

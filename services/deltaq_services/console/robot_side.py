@@ -13,6 +13,7 @@ from deltaq_services.console.client import Client
 from deltaq_services.console.commands import (
     ALL_HANDS,
     AskAdvisor,
+    DragJoints,
     DragPose,
     DriverCommand,
     DryRun,
@@ -86,7 +87,7 @@ class RobotSide:
             wish = driving.OperatorCommand(self._hand_rates(jog))
         else:
             wish = driving.OperatorCommand(self._joint_rates(jog))
-        return driving.Command(command=wish)
+        return driving.Command(command=wish, cycles=jog.cycles)
 
     def _hand_rates(self, jog: Jog) -> dict[str, float]:
         hand = self._free_hand(jog.hand)
@@ -165,6 +166,8 @@ class RobotSide:
                 trade_off=command.trade_off,
                 hands_may_leave=command.hands_may_leave,
             )
+        if isinstance(command, DragJoints):
+            return driving.ReachJoints(id=request, q=command.q)
         if isinstance(command, DragPose):
             return driving.Reach(
                 id=request,

@@ -61,11 +61,13 @@ export function remember(name, value, storage = "localStorage") {
 
 export const degrees = (rad) => (rad * 180) / Math.PI;
 
-/** A pose T_world_tool (16 numbers, by columns) as a KUKA pendant tells it: X Y Z [mm], and A B C about z, y, x [°]. */
+/** Angles A B C about z, y, x of a pose (16 numbers, by columns), as a KUKA pendant tells them [°]. */
+export const anglesOf = (T) => [Math.atan2(T[1], T[0]), Math.atan2(0 - T[2], Math.hypot(T[0], T[1])), Math.atan2(T[6], T[10])].map(degrees);
+
+/** A pose T_world_tool as a KUKA pendant tells it: X Y Z [mm], and A B C [°]. */
 export function poseText(T) {
-  const [A, B, C] = [Math.atan2(T[1], T[0]), Math.atan2(0 - T[2], Math.hypot(T[0], T[1])), Math.atan2(T[6], T[10])].map(degrees);
   const named = (names, values, digits) => values.map((value, k) => `${names[k]} ${value.toFixed(digits)}`).join("  ");
-  return `${named("XYZ", [T[12], T[13], T[14]].map((m) => 1000 * m), 0)} mm\n${named("ABC", [A, B, C], 1)} °`;
+  return `${named("XYZ", [T[12], T[13], T[14]].map((m) => 1000 * m), 0)} mm\n${named("ABC", anglesOf(T), 1)} °`;
 }
 
 /** Day and time of day of the reader's clock, whatever the browser's language: 2026-11-28 22:50:12. */

@@ -54,3 +54,10 @@ export function turned(T, axis, angle) {
   }
   return out;
 }
+
+/** The pose T (16 numbers, by columns) turned to the angles A B C about z, y, x [°]. */
+export function withAngles(T, angles) {
+  const [[ca, sa], [cb, sb], [cc, sc]] = angles.map((angle) => (angle * Math.PI) / 180).map((angle) => [Math.cos(angle), Math.sin(angle)]);
+  const turn = [ca * cb, sa * cb, -sb, 0, ca * sb * sc - sa * cc, sa * sb * sc + ca * cc, cb * sc, 0, ca * sb * cc + sa * sc, sa * sb * cc - ca * sc, cb * cc, 0];
+  return Float64Array.from([...turn, ...T.slice(12)]);
+}

@@ -27,7 +27,7 @@ const FOLLOW_MS = 800; // a robot that follows moves by itself: held, so that it
 export class Driven extends EventTarget {
   constructor(live, scene) {
     super();
-    Object.assign(this, { live, scene, name: scene.robots.at(-1).name, share: 0.3, _joint: 0, _hands: new Map() });
+    Object.assign(this, { live, scene, name: scene.robots.at(-1).name, share: 0.3, bySteps: false, _joint: 0, _hands: new Map() });
   }
 
   get scenery() {
@@ -79,6 +79,12 @@ export class Driven extends EventTarget {
   /** Whether the robot is moved by hand in this mode, by buttons, keys and sticks. */
   get isJogged() {
     return !this.goesAlongWays && this.mode !== "follow";
+  }
+
+  /** Whether each press of a button moves by one step, in place of for as long as it is held. */
+  chooseSteps(bySteps) {
+    this.bySteps = bySteps;
+    this._tell();
   }
 
   choose(name) {

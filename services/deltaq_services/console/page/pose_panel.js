@@ -1,16 +1,18 @@
 // A pose of the hand that is dragged in the picture: what would be admitted is shown first, and the robot goes only
 // while a button is held.
 
-import { quaternionOf } from "./drag_math.js";
-import { el, say } from "./dom.js";
+import { quaternionOf, withAngles } from "./drag_math.js";
+import { anglesOf, el, say } from "./dom.js";
 import { Gizmo } from "./gizmo.js";
 import { holds } from "./hold.js";
+import { jointTargets } from "./targets.js";
 
 const ASK_AGAIN_MS = 200; // while it is dragged
-const AXES = ["x", "y", "z"];
+const AXES = ["x", "y", "z", "A", "B", "C"]; // A B C turn about z, y, x
 
 /** @param context {live, driven, wish, stage, views, ways, picture}; ask(type, fields) sends a command. */
-export function posePanel({ live, driven, wish, stage, views, ways, picture }, ask) {
+export function posePanel(context, ask) {
+  const { live, driven, wish, stage, views, ways, picture } = context;
   const gizmo = new Gizmo(stage);
   const words = el("p", { class: "forecast", role: "status" });
   const gate = el("p", { class: "doing" });
@@ -19,22 +21,25 @@ export function posePanel({ live, driven, wish, stage, views, ways, picture }, a
   const back = el("button", {}, "Back");
   const tools = el("select", { "aria-label": "Hand" });
   const fields = AXES.map((axis, k) => {
-    const field = el("input", { type: "number", step: 10, "aria-label": `${axis} of the hand in mm` });
+    const field = el("input", { type: "number", step: k < 3 ? 10 : 5, "aria-label": `${axis} of the hand in ${k < 3 ? "mm" : "°"}` });
     field.addEventListener("change", () => {
       if (!gizmo.T || field.value === "") return;
-      const T = Float64Array.from(gizmo.T);
-      T[12 + k] = Number(field.value) / 1000;
+      const angles = anglesOf(gizmo.T);
+      if (k >= 3) angles[k - 3] = Number(field.value);
+      const T = k < 3 ? Float64Array.from(gizmo.T) : withAngles(gizmo.T, angles);
+      if (k < 3) T[12 + k] = Number(field.value) / 1000;
       gizmo.place(T, driven.frame === "tool");
       want();
     });
     return field;
   });
+  const targets = jointTargets(context, want);
   const box = el("section", { class: "pose" },
     el("h2", {}, "Pose"),
-    el("p", { class: "doing" }, "Drag the arrows and rings at the hand, or enter its position [mm]. Nothing moves yet."),
+    el("p", { class: "doing" }, "Drag the arrows and rings at the hand, or enter its pose [mm, °]. Nothing moves yet."),
     tools,
     el("div", { class: "coordinates" }, ...AXES.flatMap((axis, k) => [el("label", {}, axis), fields[k]])),
-    el("div", { class: "row" }, go, back), words, share, gate,
+    el("div", { class: "row" }, go, back), words, share, gate, targets.box,
   );
   let robot = "";
   let asked = { isBusy: false, isWanted: false, since: 0 };
@@ -54,16 +59,19 @@ export function posePanel({ live, driven, wish, stage, views, ways, picture }, a
     picture.show(driven.name, null);
     refusal = "";
     asked.isDragged = false;
+    asked.joints = null;
     write();
   }
 
   function write() {
-    fields.forEach((field, k) => document.activeElement === field || (field.value = Math.round(1000 * gizmo.T[12 + k])));
+    const values = [12, 13, 14].map((k) => Math.round(1000 * gizmo.T[k])).concat(anglesOf(gizmo.T).map((angle) => angle.toFixed(1)));
+    fields.forEach((field, k) => document.activeElement === field || (field.value = values[k]));
   }
 
-  /** Ask for the way to where the gizmo is; of what was asked meanwhile only the newest counts. */
-  async function want() {
+  /** Ask for the way to where the gizmo is, or to joints; of what was asked meanwhile only the newest counts. */
+  async function want(joints = null) {
     asked.isDragged = true;
+    asked.joints = joints;
     write();
     if (asked.isBusy) {
       asked.isWanted = true;
@@ -79,15 +87,14 @@ export function posePanel({ live, driven, wish, stage, views, ways, picture }, a
       refusal = ack.outcome === "done" ? "" : ack.text;
       setTimeout(() => {
         asked.isBusy = false;
-        if (asked.isWanted) want();
+        if (asked.isWanted) want(asked.joints);
         show();
       }, gizmo.isHeld ? ASK_AGAIN_MS : 0);
     };
-    const hand = tools.value;
-    live.send("reach", { robot: driven.name, hand, position_m, quaternion_wxyz: quaternionOf(T) }, heard);
+    if (joints) live.send("reach_joints", { robot: driven.name, q: joints }, heard);
+    else live.send("reach", { robot: driven.name, hand: tools.value, position_m, quaternion_wxyz: quaternionOf(T) }, heard);
   }
-  gizmo.addEventListener("drag", want);
-  gizmo.addEventListener("dragend", want);
+  for (const kind of ["drag", "dragend"]) gizmo.addEventListener(kind, () => want());
 
   /** What the gate itself says of the first step, asked once for each way. */
   function dryRun(way) {
@@ -114,8 +121,10 @@ export function posePanel({ live, driven, wish, stage, views, ways, picture }, a
       tools.replaceChildren(...driven.scenery.tools.map(({ name }) => el("option", {}, name)));
       tools.hidden = driven.scenery.tools.length < 2;
       dryRunOf = null;
+      targets.build();
       reset();
     }
+    targets.show(asked.joints);
     if (gizmo.byHand !== (driven.frame === "tool") && !gizmo.isHeld) gizmo.place(gizmo.T, driven.frame === "tool");
     const [way] = asked.isDragged ? ways.of(driven.name, "pose") : [];
     const { search } = told;

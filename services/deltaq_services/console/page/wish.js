@@ -2,6 +2,7 @@
 // page loses the focus, one wish for rest is sent and nothing more.
 
 const TOLD_MS = 3000; // a refusal is shown for so long
+const STEP_S = 0.5;
 const AGAIN_MS = 80; // the driver forgets a wish after 250 ms
 
 export class Wish {
@@ -35,6 +36,22 @@ export class Wish {
     this._held.set(source, parts);
     if (begins) this._send();
     return true;
+  }
+
+  /** Move once by so much [rad or m] along one element, slowly: the robot ends it by itself. */
+  step(index, size) {
+    const name = this.target.robot();
+    this._refuse(this.live.cannotDrive(name) || (this.target.jogs?.() === false ? "choose another mode to move it by hand" : ""));
+    if (!this.refused && performance.now() < (this._stepsUntil ?? 0)) this._refuse("the step before goes on: one at a time");
+    if (this.refused || this.isActive) return;
+    this._stepsUntil = performance.now() + 1000 * STEP_S;
+    const cycle_s = this.live.scene.cycle_s;
+    const cycles = Math.round(STEP_S / cycle_s);
+    const wish = new Array(this.target.length()).fill(0);
+    wish[index] = size / (cycles * cycle_s);
+    this._robot = name;
+    this._put({ wish, cycles });
+    this._robot = null;
   }
 
   release(source) {

@@ -1,0 +1,106 @@
+"""Steps, typed targets and what the page draws beside them, on the page alone."""
+
+import math
+
+import pytest
+from conftest import mine, status
+
+pytestmark = [pytest.mark.browser, pytest.mark.service, pytest.mark.timeout(300)]
+
+AXES = "deltaq.axes.map(({visible, matrix}) => visible && Array.from(matrix.elements))"
+
+
+@pytest.mark.parametrize("frame", ["world", "tool"])
+def test_while_a_hand_is_jogged_the_axes_that_it_is_jogged_along_are_drawn_at_it(alone, frame):
+    page = alone()
+    page.evaluate("status => line.show(status)", status(gr=mine(mode="coupled", frame=frame)))
+    assert page.evaluate(AXES) == [False]
+    # pressed anew where the picture was old for a moment
+    page.evaluate("setInterval(() => deltaq.wish.isActive || deltaq.wish.hold('test', {0: 0.1}), 20)")
+    page.wait_for_function("deltaq.axes[0].visible")
+    (drawn,) = page.evaluate(AXES)
+    hand = page.evaluate("Array.from(deltaq.views.find(({name}) => name === 'gr').toolPose(0))")
+    expected = hand if frame == "tool" else [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, *hand[12:]]
+    assert drawn == pytest.approx(expected, abs=1e-3)
+    page.evaluate("status => line.show(status)", status(gr=mine(mode="joint")))
+    page.wait_for_function("!deltaq.axes[0].visible")
+
+
+def test_a_plot_is_shown_or_hidden_as_chosen_also_when_the_page_is_loaded_again(alone):
+    page = alone()
+    shown = "[...document.querySelectorAll('.plot:not([hidden]) b')].map((title) => title.textContent)"
+    usual = page.evaluate(shown)
+    assert "Clearance" in usual
+    choice = page.get_by_label("Show or hide a plot")
+    choice.select_option("gr A1")
+    choice.select_option("Clearance")
+    wanted = [title for title in usual if title != "Clearance"] + ["gr A1"]
+    assert page.evaluate(shown) == wanted
+    page.wait_for_function(
+        "[...document.querySelectorAll('.plot')].find((plot) => plot.textContent.startsWith('gr A1'))"
+        ".querySelector('output').textContent.match(/[0-9]/)")  # fmt: skip
+    page.reload()
+    page.wait_for_selector("[data-ready=true]", state="attached")
+    assert page.evaluate(shown) == wanted
+
+
+def test_until_the_cell_is_drawn_the_page_says_that_it_is_loading(alone):
+    page = alone()
+    loading = page.get_by_text("The cell is loading")
+    assert loading.is_hidden()
+    page.route("**/scene.json", lambda route: None)
+    page.reload(wait_until="commit")
+    loading.wait_for()
+
+
+PRESS_TWICE = """name => {
+    const button = [...document.querySelectorAll(".jog button")].find(({ariaLabel}) => ariaLabel === name);
+    for (const _ of [1, 2]) button.dispatchEvent(new KeyboardEvent("keydown", {key: "Enter"}));
+}"""
+SENT = "kind => line.sent.filter(({type}) => type === kind)"
+
+
+@pytest.mark.parametrize(
+    ("mode", "button", "index", "size"),
+    [
+        ("joint", "A6 minus, press to step", 8, -math.radians(1)),
+        ("joint", "E2 plus, press to step", 1, 0.005),
+        ("coupled", "Z plus, press to step", 2, 0.005),
+        ("coupled", "turn X minus, press to step", 3, -math.radians(1)),
+    ],
+)
+def test_in_steps_one_press_moves_once_by_one_degree_or_five_millimetres(alone, mode, button, index, size):
+    page = alone()
+    page.evaluate("status => line.show(status)", status(gr=mine(mode=mode)))
+    page.locator("[data-steps=true]").click()
+    while not page.evaluate(SENT, "jog"):  # pressed anew where the picture was old for a moment
+        page.evaluate(PRESS_TWICE, button)
+    page.wait_for_function("document.querySelector('.jog .why').textContent.includes('one at a time')")
+    (jog,) = page.evaluate(SENT, "jog")
+    moved = [rate * jog["cycles"] * page.evaluate("deltaq.scene.cycle_s") for rate in jog["wish"]]
+    assert moved == pytest.approx([size if k == index else 0.0 for k in range(len(moved))])
+
+
+def test_joints_home_and_saved_positions_are_asked_for_and_nothing_moves(alone):
+    page = alone()
+    page.evaluate("status => line.show(status)", status(gr=mine(mode="pose")))
+    page.get_by_text("Home, saved positions, joints").click()
+    home = page.evaluate("deltaq.driven.scenery.home")
+    a6 = page.get_by_label("A6 in °")
+    a6.fill("12")
+    a6.press("Enter")
+    page.wait_for_function("line.sent.some(({type}) => type === 'reach_joints')")
+    asked = page.evaluate(SENT, "reach_joints")[-1]["q"]
+    assert asked == pytest.approx([*home[:8], math.radians(12)], abs=1e-5)
+    page.get_by_label("Name of this position").fill("above the tank")
+    page.get_by_role("button", name="Save", exact=True).click()
+    place = page.get_by_label("Go to a saved position")
+    for name in ("home", "above the tank"):
+        place.select_option(name)
+        page.wait_for_function("line.sent.filter(({type}) => type === 'reach_joints').length")
+        assert page.evaluate(SENT, "reach_joints")[-1]["q"] == pytest.approx(home, abs=1e-5)
+    angle = page.get_by_label("C of the hand in °")
+    angle.fill("170")
+    angle.press("Enter")
+    page.wait_for_function("line.sent.some(({type}) => type === 'reach')")
+    assert not page.evaluate("line.sent.some(({type}) => type === 'jog')")
