@@ -215,7 +215,7 @@ def test_a_line_that_is_cut_locks_the_page_and_nothing_is_sent_when_it_is_back(o
 
 
 @pytest.mark.nightly
-def test_of_two_operators_one_drives_and_the_other_sees_who_and_asks(opened):
+def test_of_two_operators_one_drives_and_the_other_sees_who_asks_gets_the_robot_and_drives_it(opened):
     first, second = opened(), opened()
     take_control(first)
     second.locator("[data-robot=gr]").click()
@@ -227,3 +227,7 @@ def test_of_two_operators_one_drives_and_the_other_sees_who_and_asks(opened):
     first.get_by_role("button", name="Hand over").click()
     second.wait_for_function("deltaq.live.robot('gr').lease.mine")
     first.wait_for_function("!deltaq.live.robot('gr').lease.mine")
+    hold_until_it_moves(second)
+    second.mouse.up()
+    second.evaluate("clearInterval(pressing), deltaq.wish.releaseAll()")
+    second.wait_for_function(AT_REST)
