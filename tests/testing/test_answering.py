@@ -186,11 +186,11 @@ def test_after_a_hold_and_a_reset_nothing_is_reckoned_with_that_was_sent_before(
     driven = Driven(lab, Walk(4), lambda: 5e-3)
     driven.run(40)
     driven.cell.stop()
-    driven.run(10)
+    driven.run(40)  # a reset is refused as long as the drives move
     assert driven.cell.states["fr"].phase is Phase.HELD
     driven.cell.reset("fr")
-    while driven.cell.states["fr"].phase is Phase.HELD:
-        driven.run(1)
+    driven.run(5)
+    assert driven.cell.states["fr"].phase is not Phase.HELD
     reset = driven.cycle
     driven.run(40)
     assert driven.client.counted[Outcome.REFUSED.value] >= 5
