@@ -73,7 +73,7 @@ def plant(robots: int, bodies: int, seed: int = 0) -> dict[str, Any]:
     """The cell file of a plant: robots of the shipped lab's kind in rows, and bodies between them."""
     bases = _bases(robots)
     like = load_cell("lab").robots["fr"].model_dump(mode="json", exclude_unset=True)
-    for field in ("mounted_on", "base", "server", "driver"):
+    for field in ("mounted_on", "base", "driver"):
         like.pop(field)
     return {
         "cell": f"plant-{robots}-{bodies}",
@@ -87,7 +87,6 @@ def plant(robots: int, bodies: int, seed: int = 0) -> dict[str, Any]:
         "robots": {
             f"r{index}": like
             | {
-                "server": f"tcp/127.0.0.1:{7500 + index}",
                 "driver": {"kind": "kinematic"},
                 "mounted_on": ["floor"],
                 "base": {"position_m": [float(x), float(y), 0.0], "rpy_deg": [0, 0, 90 * (index % 4)]},

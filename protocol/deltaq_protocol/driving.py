@@ -115,7 +115,7 @@ class Release(Message):
     id: RequestId
 
 
-class Command(Message):
+class GiveCommand(Message):
     """An operator's command: its motion is good for `WISH_S`, an empty one is rest.
 
     In another mode or grip the robot first comes to rest in the earlier one. With an `id` it is answered, when its
@@ -172,7 +172,7 @@ class ReachJoints(Message):
     q: Joints
 
 
-DriverRequest = Take | Release | Command | ChooseMaster | Advise | Reach | ReachJoints
+DriverRequest = Take | Release | GiveCommand | ChooseMaster | Advise | Reach | ReachJoints
 REQUESTS: TypeAdapter[DriverRequest] = TypeAdapter(Annotated[DriverRequest, Field(discriminator="type")])
 
 

@@ -17,10 +17,10 @@ from deltaq_controllers.operated.reach import ReachPlanner
 from deltaq_protocol.driving import (
     HAND_AXES,
     REQUESTS,
-    Command,
     DriverStage,
     DrivingMode,
     Frame,
+    GiveCommand,
     Grip,
     OperatorCommand,
     ReachJoints,
@@ -111,7 +111,7 @@ def bench():
 
 def test_a_command_crosses_the_pipe_as_it_is_and_one_of_another_form_is_refused_by_its_field():
     settings = (DrivingMode.COUPLED, Frame.TOOL, 3, {"gripper": True}, Grip.OBJECT, "left")
-    command = Command(id="1", command=OperatorCommand({"left.x": 0.1}, *settings))
+    command = GiveCommand(id="1", command=OperatorCommand({"left.x": 0.1}, *settings))
     assert REQUESTS.validate_json(command.model_dump_json()) == command
     for wrong in ({"twist": [0.1]}, {"rates": {"x": "fast"}}, {"option": 0}, {"mode": "fly"}):
         with pytest.raises(ValidationError, match=rf"command.command.{next(iter(wrong))}"):

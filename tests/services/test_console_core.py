@@ -229,7 +229,7 @@ def test_a_stop_is_asked_then_stopping_then_at_rest(driving_anna, bench):
     assert driving_anna.status().stop is StopPhase.ASKED
     assert driving_anna.status().wanted_by == "desk"
     # who is driven from here rests even if the HLI does not hear of it
-    assert bench.driver_requests()[-1] == driving.Command()
+    assert bench.driver_requests()[-1] == driving.GiveCommand()
     bench.state(Phase.HELD, ReasonCode.OPERATOR_STOP, robot="gr")
     bench.state(Phase.ENGAGED, moved=0.01)
     assert driving_anna.status().stop is StopPhase.ASKED

@@ -150,7 +150,7 @@ def test_behind_a_recording_nothing_is_commanded_but_a_stop():
     desk.takes()
     bench.outputs.clear()
     assert desk.send("replay", shown=True).outcome is DONE
-    assert bench.outputs[0] == ToDriver("fr", driving.Command()), "what it drives rests"
+    assert bench.outputs[0] == ToDriver("fr", driving.GiveCommand()), "what it drives rests"
     assert isinstance(bench.outputs[1].request, driving.Release), "and is free for others"
     bench.driver_answers("fr")
     bench.outputs.clear()

@@ -71,7 +71,7 @@ def test_it_is_handed_over_when_it_is_asked_for_and_granted(bench, desk, tower):
     assert lease(desk, "grant").outcome is DONE
     # it comes to rest first, and in between nobody moves it
     assert isinstance(bench.driver_requests()[-1], driving.Release)
-    assert bench.driver_requests()[-2] == driving.Command()
+    assert bench.driver_requests()[-2] == driving.GiveCommand()
     for browser in (desk, tower):
         assert browser.send("jog", **JOG).outcome is REFUSED
     bench.driver_answers()
@@ -100,7 +100,7 @@ def test_only_one_asks_at_a_time(bench, desk, tower):
 def test_what_a_browser_drove_rests_and_is_released_when_it_has_gone(bench, desk, tower):
     bench.done(bench.core.disconnect(desk.client, bench.now_s))
     rest, release = bench.driver_requests()[-2:]
-    assert rest == driving.Command()
+    assert rest == driving.GiveCommand()
     assert isinstance(release, driving.Release)
     assert lease(tower, "take").outcome is REFUSED
     bench.driver_answers()
@@ -299,7 +299,7 @@ def test_another_session_name_or_role_does_not_come_back_to_the_robots_of_one_th
 
 def test_a_page_that_is_loaded_anew_keeps_name_and_robot_which_rests_meanwhile(bench, anna):
     goes(bench, anna)
-    assert bench.driver_requests()[-1] == driving.Command()
+    assert bench.driver_requests()[-1] == driving.GiveCommand()
     watcher = comes(bench, "s2", "Bea")
     assert watcher.status(AWAY_S - 0.1).robots["fr"].lease.holder == "Anna"
     again = comes(bench, "s1")

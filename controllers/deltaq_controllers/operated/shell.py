@@ -19,7 +19,6 @@ from deltaq_protocol.driving import (
     REQUESTS,
     Advise,
     ChooseMaster,
-    Command,
     DriverAnswer,
     DriverMessage,
     DriverReport,
@@ -27,6 +26,7 @@ from deltaq_protocol.driving import (
     DriverStage,
     DriverWays,
     DrivingMode,
+    GiveCommand,
     Reach,
     ReachJoints,
     Release,
@@ -91,7 +91,7 @@ class OperatedRobot:
 
     def _take(self, request: DriverRequest) -> None:
         match request:
-            case Command(id=None):
+            case GiveCommand(id=None):
                 with contextlib.suppress(ControllerError):  # the report says in which mode it is driven
                     self._pilot.take(request.command, time.monotonic(), request.cycles)
             case Take():
@@ -107,11 +107,11 @@ class OperatedRobot:
                 self._tasks.add(task)
                 task.add_done_callback(self._tasks.discard)
 
-    async def _do(self, request: Command | ChooseMaster | Advise | Reach | ReachJoints) -> None:
+    async def _do(self, request: GiveCommand | ChooseMaster | Advise | Reach | ReachJoints) -> None:
         text = ""
         try:
             match request:
-                case Command():
+                case GiveCommand():
                     self._pilot.take(request.command, time.monotonic(), request.cycles)
                     await self._switch(request.command.outputs)
                 case ChooseMaster():

@@ -20,7 +20,7 @@ from deltaq_protocol.driving import HAND_AXES, DrivingMode, Frame, Grip, Operato
 _UNITS = {"_m_s": ("m", 1.0), "_mm_s": ("m", 1e-3), "_rad_s": ("rad", 1.0), "_deg_s": ("rad", math.pi / 180)}
 
 
-TeleoperationMode = Literal["joint", "decoupled", "self-motion", "advisor", "coupled"]
+ScriptMode = Literal["joint", "decoupled", "self-motion", "advisor", "coupled"]
 
 
 class ScriptStep(BaseModel):
@@ -32,7 +32,7 @@ class ScriptStep(BaseModel):
     """Duration; a step to an option ends earlier if the robot arrives earlier, and waits for the advisor beforehand."""
     move: dict[str, FiniteFloat] = {}
     """By axis and unit: `a1_deg_s`, `e1_m_s`, `x_m_s`, `rz_deg_s`, `left.x_mm_s`; nothing: rest."""
-    mode: TeleoperationMode | None = None
+    mode: ScriptMode | None = None
     frame: Frame | None = None
     grip: Grip | None = None
     """Of a robot with several hands: `object` if they hold one together, `free` if they do not."""

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 # `deltaq fault run` and `deltaq fault search`: scenario files for a controller of one's own.
 
-SeedOption = Annotated[
+FaultSeedOption = Annotated[
     int | None,
     typer.Option(min=0, max=2**32 - 1, help="Seed in place of the file's; the same seed gives the same run."),
 ]
@@ -25,7 +25,7 @@ SeedOption = Annotated[
 
 def run(
     files: Annotated[list[Path], typer.Argument(help="Scenario files.", metavar="FILE...")],
-    seed: SeedOption = None,
+    seed: FaultSeedOption = None,
     junit: Annotated[Path | None, typer.Option(help="JUnit XML file to write.")] = None,
     html: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
     json: JsonOption = False,

@@ -252,7 +252,7 @@ class ConsoleCore:
         self._log.add(now_s, "stop", f"{client.name} pressed STOP")
         # whom this console drives rests, even if the HLI does not hear of it
         rest = [
-            ToDriver(side.name, driving.Command())
+            ToDriver(side.name, driving.GiveCommand())
             for side in self.robots.values()
             if side.seat.holder is not None
         ]

@@ -70,7 +70,7 @@ class DriverDesk:
             if side.report is not None and side.report.mode is driving.DrivingMode.FOLLOW:
                 outputs += self._pending.send(side.seat.leave(client, self._pending.new_id), None, "")
             else:
-                outputs.append(ToDriver(side.name, driving.Command()))
+                outputs.append(ToDriver(side.name, driving.GiveCommand()))
         return outputs
 
     def said(self, robot: str, said: driving.DriverMessage, now_s: float) -> list[ConsoleOutput]:

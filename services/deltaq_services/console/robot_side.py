@@ -73,7 +73,7 @@ class RobotSide:
         self._max_velocity = robot.max_velocity
         self._has_camera = robot.camera is not None
 
-    def wish_of(self, jog: Jog) -> driving.Command:
+    def wish_of(self, jog: Jog) -> driving.GiveCommand:
         """The command that a jog means.
 
         Raises:
@@ -87,7 +87,7 @@ class RobotSide:
             wish = driving.OperatorCommand(self._hand_rates(jog))
         else:
             wish = driving.OperatorCommand(self._joint_rates(jog))
-        return driving.Command(command=wish, cycles=jog.cycles)
+        return driving.GiveCommand(command=wish, cycles=jog.cycles)
 
     def _hand_rates(self, jog: Jog) -> dict[str, float]:
         hand = self._free_hand(jog.hand)
@@ -152,7 +152,7 @@ class RobotSide:
                     f"grip: {self.name} has one hand, and an object is held by two or more; it has grip free"
                 )
             settings = driving.OperatorCommand(mode=command.mode, frame=command.frame, grip=command.grip)
-            return driving.Command(id=request, command=settings)
+            return driving.GiveCommand(id=request, command=settings)
         if isinstance(command, SetMaster):
             if command.master and command.master not in self._others:
                 raise ValueError(
@@ -179,7 +179,7 @@ class RobotSide:
         if command.index >= len(names):
             raise ValueError(f"index: outputs of {self.name}: {len(names)}, got {command.index}")
         outputs = {names[command.index]: command.value}
-        return driving.Command(id=request, command=driving.OperatorCommand(outputs=outputs))
+        return driving.GiveCommand(id=request, command=driving.OperatorCommand(outputs=outputs))
 
     def view_of(self, command: ViewCommand) -> ViewWish:
         """The view that a follower is asked for.

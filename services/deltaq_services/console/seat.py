@@ -143,7 +143,7 @@ class Seat:
 
     def _release(self, request: Callable[[], str]) -> tuple[ToDriver, ...]:
         self._stage = _Stage.RELEASING
-        rest, release = driving.Command(), driving.Release(id=request())
+        rest, release = driving.GiveCommand(), driving.Release(id=request())
         return ToDriver(self.robot, rest), ToDriver(self.robot, release)
 
     def _asked_by(self, client: Client) -> Handled:

@@ -255,7 +255,8 @@ def run_fault(fault: Fault, loaded: LoadedCell, robot: str, seed: int = 0) -> Fa
         run.model,
         np.array(run.setpoints),
         run.cycle_s,
-        sample.counters["unanswered"] + run.running - sample.counters["sent"],
+        # in a cycle in which its program ends, the KRC has sent and runs no more
+        sample.counters["unanswered"] + max(0, run.running - sample.counters["sent"]),
         (run.least_m, run.least_own_m),
         run.protest,
         run.arm.to_pc.counts["flipped"],
