@@ -102,19 +102,18 @@ def test_a_krc_that_ticks_three_times_as_fast_as_its_cell_is_never_driven(tmp_pa
         assert np.abs(np.diff(setpoints, axis=0)).max() == 0.0
 
 
-def test_a_krc_that_turns_relative_in_motion_is_told_to_stop_and_comes_to_rest(ready_stack):
-    stack = ready_stack
-    hli = stack.cell.hli
-    with blocking.connect(hli) as cell, cell.lease("fr") as robot:
-        for _, _state in zip(range(12), robot.states(), strict=False):
-            robot.move([5e-4, 0, 0, 0, 0, 0])
-    stack.wait_until_at_rest()
-    before = stack.setpoint()
-    assert np.degrees(before[0] - stack.robot.home[0]) > 0.1
-    turned = stack.ask(op="fault", correction="relative")["cycle"]
-    ended = stack.ask(op="await", state="ready", at_rest=True, within_s=10)
-    assert ended["message"] == "RSI_MOVECORR was ended by the signal Stop"
-    away = np.degrees(np.abs(stack.setpoint() - before).max())
-    print(f"the arm went on {away:.3f} deg, and rested {ended['cycle'] - turned} cycles later")
-    assert 1.0 < away < 5.0
-    stack.ask(op="restart", correction="absolute")  # as whoever shares the cell finds it
+def test_a_krc_that_turns_relative_in_motion_is_told_to_stop_and_comes_to_rest(tmp_path):
+    with live_stack(tmp_path) as stack:
+        hli = stack.cell.hli
+        with blocking.connect(hli) as cell, cell.lease("fr") as robot:
+            for _, _state in zip(range(12), robot.states(), strict=False):
+                robot.move([5e-4, 0, 0, 0, 0, 0])
+        stack.wait_until_at_rest()
+        before = stack.setpoint()
+        assert np.degrees(before[0] - stack.robot.home[0]) > 0.1
+        turned = stack.ask(op="fault", correction="relative")["cycle"]
+        ended = stack.ask(op="await", state="ready", at_rest=True, within_s=10)
+        assert ended["message"] == "RSI_MOVECORR was ended by the signal Stop"
+        away = np.degrees(np.abs(stack.setpoint() - before).max())
+        print(f"the arm went on {away:.3f} deg, and rested {ended['cycle'] - turned} cycles later")
+        assert 1.0 < away < 5.0
