@@ -18,11 +18,10 @@ import numpy as np
 
 from deltaq_cell.roles import camera_roles
 from deltaq_controllers.camera import FOLLOWS
-from deltaq_controllers.camera.aim import TOOL
 from deltaq_controllers.camera.controllers import NAMES, FocusController, camera_controller_named
 from deltaq_controllers.camera.in_use import CameraInUse
 from deltaq_controllers.camera.outlook import Outlook
-from deltaq_controllers.camera.scene import Scene
+from deltaq_controllers.camera.scene import TOOL, Scene
 from deltaq_controllers.interface import ControllerError, HeldBack, LastIncrement, RobotView, View
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.live import ControlStatistics, ErrorStatistics, cell_model, drive, run

@@ -9,9 +9,8 @@ import numpy as np
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.roles import camera_roles
-from deltaq_controllers.camera.aim import TOOL
 from deltaq_controllers.camera.controllers import FocusController, camera_controller_named
-from deltaq_controllers.camera.scene import Scene
+from deltaq_controllers.camera.scene import TOOL, Scene
 from deltaq_controllers.surroundings.setpoints import lag_s
 from deltaq_experiments.options import Options
 from deltaq_protocol.arrays import Array

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from deltaq_controllers.camera.outlook import Visibility, VisibilityGauge
 from deltaq_controllers.camera.scene import Scene
-from deltaq_controllers.camera.visibility import Visibility, VisibilityGauge
 from deltaq_experiments.figures import Marks
 from deltaq_experiments.options import Options
 from deltaq_experiments.report import Figures, SeenShares

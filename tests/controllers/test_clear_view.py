@@ -10,8 +10,8 @@ from test_visibility import at, with_wall
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.camera.clear_view import Side, SightGains
 from deltaq_controllers.camera.controllers import camera_controller_named
+from deltaq_controllers.camera.outlook import VisibilityGauge
 from deltaq_controllers.camera.scene import Scene
-from deltaq_controllers.camera.visibility import VisibilityGauge
 from deltaq_controllers.interface import RobotView, View
 from deltaq_protocol.arrays import Array
 

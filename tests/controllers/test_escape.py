@@ -12,12 +12,9 @@ import pytest
 from deltaq_cell.anatomy import placed_at_first
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.camera.error import look, view_jacobians
-from deltaq_controllers.camera.escape.arm import EscapingArm, arm_of
-from deltaq_controllers.camera.escape.distances import clearance, place_boxes
-from deltaq_controllers.camera.escape.follower import EscapingFollower
-from deltaq_controllers.camera.escape.gains import EscapeGains
+from deltaq_controllers.camera.escape.arm import EscapingArm, arm_of, clearance, place_boxes
+from deltaq_controllers.camera.escape.follower import EscapePlan, EscapingFollower
 from deltaq_controllers.camera.escape.motion import SimulatedView, move
-from deltaq_controllers.camera.escape.plan import EscapePlan
 from deltaq_controllers.camera.escape.pursuit import Pursuit
 from deltaq_controllers.camera.escape.rollout import (
     LENS,
@@ -25,6 +22,7 @@ from deltaq_controllers.camera.escape.rollout import (
     Attacker,
     Courses,
     CourseStart,
+    EscapeGains,
     Simulation,
     best_course,
     course_cost,

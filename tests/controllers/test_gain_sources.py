@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from deltaq_controllers.camera.clear_view import SightGains
-from deltaq_controllers.camera.escape.gains import EscapeGains
-from deltaq_controllers.camera.gain_sources import ESCAPE, FOLLOWER, QP, SIGHT, GainSource
+from deltaq_controllers.camera.escape.rollout import EscapeGains
 from deltaq_controllers.camera.gains import FollowerGains
-from deltaq_controllers.camera.qp_gains import QpGains
+from deltaq_controllers.camera.qp_problem import QpGains
 from deltaq_controllers.leader.scripted import STICK_ACCELERATION_M_S2
+from reference_pages.gain_sources import ESCAPE, FOLLOWER, QP, SIGHT, GainSource
 
 TABLES = pytest.mark.parametrize(
     ("gains", "sources"),

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deltaq_controllers.camera.integrator import integrate, runge_kutta_step, share_inside
+from deltaq_controllers.camera.follower import integrate, runge_kutta_step, share_inside
 
 WIDE = np.full(2, 1e3)
 

@@ -12,7 +12,7 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_cell.description import Camera, Pose
 from deltaq_controllers.camera.controllers import NAMES, camera_controller_named
 from deltaq_controllers.camera.qp_follower import QpFollower
-from deltaq_controllers.camera.qp_gains import QpGains
+from deltaq_controllers.camera.qp_problem import QpGains
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.leader.attacking import AttackingLeader

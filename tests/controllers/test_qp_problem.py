@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from deltaq_controllers.camera.qp_problem import QuadraticProgram
-from deltaq_controllers.camera.qp_tasks import Tasks
+from deltaq_controllers.camera.qp_problem import QuadraticProgram, Tasks
 from deltaq_controllers.surroundings.barriers import Barriers
 
 N = 6

@@ -10,8 +10,8 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_cell.description import Body, Camera
 from deltaq_cell.robot import RobotModel, RobotModelError
 from deltaq_controllers.camera.controllers import camera_controller_named
+from deltaq_controllers.camera.outlook import Visibility, VisibilityGauge
 from deltaq_controllers.camera.scene import Scene
-from deltaq_controllers.camera.visibility import Visibility, VisibilityGauge
 from deltaq_protocol.arrays import Array
 
 HOME = {name: robot.home for name, robot in lab().robots.items()}

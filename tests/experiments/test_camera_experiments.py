@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_controllers.camera.visibility import Visibility
+from deltaq_controllers.camera.outlook import Visibility
 from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.leader.attacking import AttackingLeader
 from deltaq_experiments import approach, collision, tracking, zoom

@@ -9,18 +9,18 @@ import typer
 
 from deltaq_cell import description
 from deltaq_cell.load import load_cell
-from deltaq_controllers.camera import gain_sources
 from deltaq_controllers.camera.clear_view import SightGains
-from deltaq_controllers.camera.escape.gains import EscapeGains
-from deltaq_controllers.camera.gain_sources import GainSource
+from deltaq_controllers.camera.escape.rollout import EscapeGains
 from deltaq_controllers.camera.gains import FollowerGains
-from deltaq_controllers.camera.qp_gains import QpGains
+from deltaq_controllers.camera.qp_problem import QpGains
 from deltaq_controllers.criteria import TABLE as CRITERIA
 from deltaq_deploy.command.app import app
 from deltaq_deploy.launch.services import cell_services, console_service, demo_controllers, recorder
 from deltaq_emulator import states as krc_states
 from deltaq_emulator.catalogue import TEXTS
 from deltaq_emulator.settings import KrcSettings
+from reference_pages import gain_sources
+from reference_pages.gain_sources import GainSource
 from reference_pages.markdown import described, fields, models, table, texts_of_members
 
 _COMMAND_HEAD = (

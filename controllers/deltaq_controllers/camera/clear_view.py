@@ -19,7 +19,7 @@ import numpy as np
 from deltaq_cell.sight_lines import BesideLine, SightLines
 from deltaq_controllers.camera.outlook import moving_with
 from deltaq_controllers.camera.qp_follower import QpFollower
-from deltaq_controllers.camera.qp_tasks import Tasks, available, step
+from deltaq_controllers.camera.qp_problem import Tasks, available, step
 from deltaq_protocol.arrays import Array
 
 

@@ -12,14 +12,13 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.camera.aim import TOOL, focus_of
 from deltaq_controllers.camera.clear_view import ClearViewFollower
 from deltaq_controllers.camera.error import view_angle
 from deltaq_controllers.camera.escape.follower import EscapingFollower
 from deltaq_controllers.camera.follower import CameraFollower
 from deltaq_controllers.camera.gains import BY_NAME
 from deltaq_controllers.camera.qp_follower import QpFollower
-from deltaq_controllers.camera.scene import Scene
+from deltaq_controllers.camera.scene import TOOL, Scene, focus_of
 from deltaq_controllers.interface import Controller, ControllerError, LastIncrement, View
 from deltaq_controllers.surroundings.setpoints import Foreseen
 from deltaq_protocol.arrays import Array

@@ -10,9 +10,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from deltaq_controllers.camera.aim import TOOL
 from deltaq_controllers.camera.controllers import Aiming, FocusController, Seeing
 from deltaq_controllers.camera.outlook import Outlook
+from deltaq_controllers.camera.scene import TOOL
 from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.surroundings.setpoints import LOST_S, Foreseen
 from deltaq_protocol.arrays import Array

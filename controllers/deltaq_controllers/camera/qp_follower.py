@@ -2,7 +2,7 @@
 
 It does what the paper's law (9) does by projection, weights and gains: limits are constraints
 that account for the robot's brake, clearance is a barrier that accounts for the other robot's motion, and the view's
-tasks share the remaining freedom by their weights (`qp_gains`). There is no null space: every task is a row.
+tasks share the remaining freedom by their weights (`QpGains`). There is no null space: every task is a row.
 
     angle      (J_t / stretch) dq = -step(theta) e - (P p' / stretch) T      (3)-(5), in rad
     distance   -u . J_v dq        =  step(d) - u . p' T                      (14)
@@ -22,13 +22,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deltaq_controllers.camera.aim import focus_of
 from deltaq_controllers.camera.error import CameraPose, view_angle
-from deltaq_controllers.camera.qp_gains import QpGains
-from deltaq_controllers.camera.qp_problem import QuadraticProgram
-from deltaq_controllers.camera.qp_tasks import Aim, Evasion, TaskGains, Tasks, view_tasks
+from deltaq_controllers.camera.qp_problem import (
+    Aim,
+    Evasion,
+    QpGains,
+    QuadraticProgram,
+    TaskGains,
+    Tasks,
+    view_tasks,
+)
 from deltaq_controllers.camera.repulsion import Obstacles, Potential, Repulsion
-from deltaq_controllers.camera.scene import Scene
+from deltaq_controllers.camera.scene import Scene, focus_of
 from deltaq_controllers.camera.subtasks import RollJoint
 from deltaq_controllers.interface import ControllerError, LastIncrement, RobotView, View
 from deltaq_controllers.kinematics import Kinematics
@@ -36,8 +41,7 @@ from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.redundancy import WeightedGradient, inverse_weights, limit_gradient
 from deltaq_controllers.surroundings.barriers import Barriers, Braking, Keeping, barriers_of, bounds
 from deltaq_controllers.surroundings.neighbours import NearPairs, Neighbours
-from deltaq_controllers.surroundings.others import OtherRobots
-from deltaq_controllers.surroundings.setpoints import Foreseen
+from deltaq_controllers.surroundings.setpoints import Foreseen, OtherRobots
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles
 

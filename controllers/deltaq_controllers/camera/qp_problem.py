@@ -12,15 +12,243 @@ gives the same increment, bit for bit.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from typing import NamedTuple, Self
 
 import daqp
 import numpy as np
 
 from deltaq_cell.compiled import compiled
-from deltaq_controllers.camera.qp_tasks import Tasks
+from deltaq_controllers.camera.error import CameraPose, look_on, view_jacobians
+from deltaq_controllers.camera.subtasks import RollJoint, roll_effects, turn_to_level
+from deltaq_controllers.redundancy import DEGREES
 from deltaq_controllers.surroundings.barriers import Barriers
+from deltaq_controllers.vectors import solved
 from deltaq_protocol.arrays import Array
+
+# Weights and margins.
+
+
+class QpGains(NamedTuple):
+    """Gains of the programme, in order of priority.
+
+    Limits of speed, acceleration and position are constraints without slack: nothing outweighs them. Then come
+    the barriers, whose slack costs in proportion (`barrier_price`), so that the camera cannot buy any of it
+    while there is an alternative. The tasks are least squares in one sum. Angle comes first, at a higher price than
+    the braking distance of others; two decades below it evasion, distance and joint margin, of equal weight: the
+    follower backs off neither along the view axis nor into a limit while it can evade sideways. Two decades below
+    that roll, and the joint margin where no robot is near: without it the freedom that the view leaves drifts into
+    limits, from which a later change of distance finds no way. Last of all rest of the joints.
+
+    Attributes:
+        clear_of_others_m: least distance from other robots, beyond the gate's stop distance [m].
+        clear_of_structure_m: least distance from the structure, likewise [m].
+        clear_of_self_m: least distance between the robot's own bodies, beyond the gate's for these [m].
+        barrier_range_m: beyond its barrier, how far a pair of bodies is taken into account [m].
+        others_range_m: this range for bodies of other robots [m].
+        barrier_share: fraction of the remaining distance that one cycle may use up.
+        others_share: this fraction for other robots; smaller, so that evading begins early and gently.
+        reaction_s: time for which another robot is expected to keep its speed [s].
+        others_brake_m_s2: deceleration that is expected of another robot [m/s^2].
+        barrier_price: cost of slack per m, on the scale of the tasks' costs; above what the largest error can pay.
+        reserve_price: this cost for the braking distance of other robots, beyond the least distance from them.
+        evasion: eta of the repulsion (12) off other robots [m^3 rad/s].
+        evasion_range_m: rho_0 of (12) [m].
+        evasion_min_m: distance at which the repulsion stops growing [m].
+        limit_scale: s_w of the weights (10) that keep the repulsion from pressing joints to their limits [rad].
+        room: k of the rates -k H, H of (11), at which joints leave their limits [rad^2/s or m^2/s].
+        room_rate: largest size of these rates [rad/s or m/s].
+        angle_weight, evasion_weight, distance_weight, room_weight, posture_weight, roll_weight, rest_weight: of the
+            squares: per mm of the focus' path at 1 m for angle, per mrad for evasion, room, posture and roll, per mm
+            for distance, per acceleration limit for rest. The joints' margin weighs `room_weight` while another robot
+            is near, and else `posture_weight`.
+        angle_share, distance_share, roll_share: part of an error that a cycle takes away, near the goal.
+        brake_share: part of the possible deceleration that approaching a goal counts on.
+        zoom_m_s2: largest deceleration of the view distance that is counted on [m/s^2].
+        spin_rad_s2: deceleration of the roll that is counted on [rad/s^2].
+    """
+
+    clear_of_others_m: float = 0.05
+    clear_of_structure_m: float = 0.03
+    clear_of_self_m: float = 0.01
+    barrier_range_m: float = 0.25
+    others_range_m: float = 0.5
+    barrier_share: float = 0.2
+    others_share: float = 0.06
+    reaction_s: float = 0.2
+    others_brake_m_s2: float = 2.0
+    barrier_price: float = 1e7
+    reserve_price: float = 3e3
+    evasion: float = 1e-2
+    evasion_range_m: float = 0.3
+    evasion_min_m: float = 0.03
+    limit_scale: float = DEGREES
+    room: float = 0.04
+    room_rate: float = 0.7
+    angle_weight: float = 1.0
+    evasion_weight: float = 1e-2
+    distance_weight: float = 1e-2
+    room_weight: float = 1e-2
+    posture_weight: float = 1e-4
+    roll_weight: float = 1e-4
+    rest_weight: float = 1e-5
+    angle_share: float = 0.5
+    distance_share: float = 0.3
+    roll_share: float = 0.15
+    brake_share: float = 0.6
+    zoom_m_s2: float = 3.0
+    spin_rad_s2: float = 30.0
+
+
+# The tasks of the programme: rows of least squares.
+
+
+class Aim(NamedTuple):
+    """Where the focus will be (3,) in the world [m], its velocity (3,) [m/s], and the desired view distance [m]."""
+
+    focus: Array
+    velocity: Array
+    desired_distance: float
+
+
+class Tasks(NamedTuple):
+    """Least squares of the programme.
+
+    Attributes:
+        rows: (t, n) change of each task per increment.
+        wanted: (t,) change asked for [rad or m].
+        weights: (t,) cost of a squared mrad or mm.
+    """
+
+    rows: Array
+    wanted: Array
+    weights: Array
+
+
+class Evasion(NamedTuple):
+    """How the arm gets out of another robot's way.
+
+    Attributes:
+        rows: (k, n) directions in which its joints move, of unit length.
+        rates: (k,) along each [rad/s or m/s]; zero for none.
+        room: (n,) that move joints away from their limits [rad/s or m/s]; zero for none.
+    """
+
+    rows: Array
+    rates: Array
+    room: Array
+
+
+class TaskGains(NamedTuple):
+    """The fields of `QpGains` that the tasks use: each argument costs time."""
+
+    angle_weight: float
+    evasion_weight: float
+    distance_weight: float
+    room_weight: float
+    roll_weight: float
+    angle_share: float
+    distance_share: float
+    roll_share: float
+    brake_share: float
+    zoom_m_s2: float
+    spin_rad_s2: float
+
+    @classmethod
+    def of(cls, gains: QpGains) -> Self:
+        """The choice from all of them."""
+        return cls(*(getattr(gains, name) for name in cls._fields))
+
+
+@compiled
+def view_tasks(
+    pose: CameraPose,
+    q: Array,
+    aim: Aim,
+    evasion: Evasion,
+    gains: TaskGains,
+    roll_joint: RollJoint,
+    max_ddq: Array,
+    cycle_s: float,
+) -> Tasks:
+    """Angle (two rows), distance, roll, a row for each direction of the evasion, and room.
+
+    Args:
+        pose: of the camera.
+        q: (n,) configuration [rad or m].
+        aim: what to look at.
+        evasion: how to get out of the way.
+        gains: weights and shares.
+        roll_joint: the joint that levels the picture.
+        max_ddq: (n,) largest change of the increment between two cycles [rad or m].
+        cycle_s: the cycle [s].
+    """
+    view = look_on(pose.rotation, pose.position, aim.focus, pose.twists)
+    jacobian, approach = view_jacobians(view, pose.position, aim.focus, pose.twists)
+    room, ways = evasion.room, len(evasion.rates)
+    pull = math.sqrt((room * room).sum())
+    rows = np.empty((5 + ways, len(q)))
+    rows[:2], rows[2] = jacobian / view.stretch, -approach
+    rows[3] = roll_effects(pose.rotation, pose.twists[3:])
+    rows[4:-1], rows[-1] = evasion.rows, room / max(pull, 1e-9)
+
+    deceleration = available(rows[:2], max_ddq, view.direction)
+    turn = step(view.angle, gains.angle_share, deceleration, gains.brake_share)
+    wanted = np.empty(5 + ways)
+    for i in range(2):
+        drift = (view.P[i] * aim.velocity).sum() * cycle_s / view.stretch
+        wanted[i] = -turn * view.direction[i] - drift
+
+    error = view.distance - aim.desired_distance
+    # with the view direction kept
+    deceleration = available(rows[:3], max_ddq, np.array([0.0, 0.0, 1.0]))
+    deceleration = min(deceleration, gains.zoom_m_s2 * cycle_s**2)
+    zoom = step(abs(error), gains.distance_share, deceleration, gains.brake_share)
+    wanted[2] = -math.copysign(zoom, error) - cycle_s * (view.u * aim.velocity).sum()
+
+    last = roll_joint.number
+    axis = pose.twists[3:, last]
+    turn = turn_to_level(pose.rotation, axis, q[last], roll_joint.lower, roll_joint.upper) * rows[3, last]
+    level = step(abs(turn), gains.roll_share, gains.spin_rad_s2 * cycle_s**2, gains.brake_share)
+    wanted[3] = math.copysign(level, turn)
+    wanted[4:-1], wanted[-1] = cycle_s * evasion.rates, cycle_s * pull
+
+    weights = np.empty(5 + ways)
+    weights[:2], weights[2], weights[3] = gains.angle_weight, gains.distance_weight, gains.roll_weight
+    weights[4:-1], weights[-1] = gains.evasion_weight, gains.room_weight
+    return Tasks(rows, wanted, weights)
+
+
+@compiled
+def step(error: float, share: float, deceleration: float, brake_share: float) -> float:
+    """A fraction of an error, but not more than can be braked within the remaining error."""
+    return min(share * error, math.sqrt(2.0 * brake_share * deceleration * error))
+
+
+@compiled
+def available(rows: Array, max_ddq: Array, direction: Array) -> float:
+    """Largest change of a task per cycle and cycle along a direction that the joints' acceleration allows.
+
+    The joints share the work in proportion to their acceleration limits, least squares.
+
+    Args:
+        rows: (t, n) change of the task by the joints.
+        max_ddq: (n,) largest change of the increment between two cycles [rad or m].
+        direction: (t,) unit vector.
+    """
+    scaled = rows * max_ddq
+    square = np.zeros((len(rows), len(rows)))
+    for i in range(len(rows)):
+        for j in range(len(rows)):
+            square[i, j] = (scaled[i] * scaled[j]).sum()
+        # a direction that no joint moves has no acceleration, and no infinity either
+        square[i, i] += 1e-12
+    shares, busiest = solved(square, direction), 1e-9
+    for joint in range(len(max_ddq)):
+        busiest = max(busiest, abs((shares * scaled[:, joint]).sum()))
+    return 1.0 / busiest
+
 
 _MILLI = 1e3
 """Costs count in mm and mrad, so that the solver's numbers are near one."""

@@ -11,7 +11,7 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.interface import View
 from deltaq_controllers.surroundings.barriers import Barriers, Braking, Keeping, barriers_of
 from deltaq_controllers.surroundings.neighbours import NearPairs, Neighbours
-from deltaq_controllers.surroundings.others import OtherRobots
+from deltaq_controllers.surroundings.setpoints import OtherRobots
 from deltaq_protocol.arrays import Array
 
 MOST_PAIRS = 16

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -10,13 +11,133 @@ from numpy.typing import NDArray
 
 from deltaq_cell.anatomy import anatomy_of, placed_at_first
 from deltaq_cell.bodies import Bodies, JointRange
-from deltaq_cell.kernel.arrays import Anatomy
+from deltaq_cell.compiled import compiled, inlined, makes_no_array
+from deltaq_cell.kernel.arrays import Anatomy, Placed
+from deltaq_cell.kernel.place import place
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.camera.escape.distances import BoxedArm, gaps, place_boxes
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.kinematics import joints_that_move
 from deltaq_controllers.spheres import Spheres
-from deltaq_protocol.arrays import Array, Indices
+from deltaq_protocol.arrays import Array, Flags, Indices
+
+# Distances of spheres from the tight boxes around bodies, compiled: rough, quick, and never too great.
+
+
+class BoxedArm(NamedTuple):
+    """A robot whose bodies are boxes, and spheres around its outer bodies.
+
+    Attributes:
+        anatomy: of the robot and the structure.
+        own: (b,) numbers of its own bodies in there.
+        inner: (c,) those that only the first joint moves, or none: they cannot get out of the way.
+        balls: around its outer bodies; `joints` count from 0 here.
+        pairs: (p, 2) sphere and body that are to be kept apart.
+        none_wanted: (bodies,) False: of the gate's kernel only the placing of joints is wanted, and of no body.
+        no_width: (n,) zeros: it places one configuration in place of a box of them [rad or m].
+    """
+
+    anatomy: Anatomy
+    own: Indices
+    inner: Indices
+    balls: Spheres
+    pairs: Indices
+    none_wanted: Flags
+    no_width: Array
+
+
+@makes_no_array
+def place_boxes(arm: BoxedArm, placed: Placed, q: Array) -> None:
+    """Place the joints, and the boxes of the own bodies, at configuration `q` (n,)."""
+    anatomy = arm.anatomy
+    place(anatomy, placed, (0, len(q)), (0, 0), arm.none_wanted, q, arm.no_width)
+    for body in arm.own:
+        joint = anatomy.carrier[body]
+        if joint < 0:
+            continue
+        rotation, centre = placed.rotation[joint], anatomy.box_centre[body]
+        for row in range(3):
+            a, b, c = rotation[row, 0], rotation[row, 1], rotation[row, 2]
+            shift = placed.translation[joint, row]
+            placed.box_centre[body, row] = a * centre[0] + b * centre[1] + c * centre[2] + shift
+            for k in range(3):
+                edge = anatomy.edges[body, k]
+                placed.edges[body, k, row] = a * edge[0] + b * edge[1] + c * edge[2]
+
+
+@inlined
+def gap(
+    anatomy: Anatomy, placed: Placed, body: int, x: float, y: float, z: float, radius: float, least: float
+) -> float:
+    """Distance of a sphere at (x, y, z) from a body's box, negative inside; `least` if it is no less [m]."""
+    half, centre, edges = anatomy.half_edges[body], placed.box_centre[body], placed.edges[body]
+    x, y, z = x - centre[0], y - centre[1], z - centre[2]
+    reach = least + radius + math.sqrt(half[0] * half[0] + half[1] * half[1] + half[2] * half[2])
+    if reach < 0.0 or x * x + y * y + z * z > reach * reach:
+        return least
+    square, deepest = 0.0, -math.inf
+    for k in range(3):
+        beyond = abs(edges[k, 0] * x + edges[k, 1] * y + edges[k, 2] * z) - half[k]
+        deepest = max(deepest, beyond)
+        if beyond > 0.0:
+            square += beyond * beyond
+    return min((math.sqrt(square) if deepest > 0.0 else deepest) - radius, least)
+
+
+@compiled
+def gaps(arm: BoxedArm, placed: Placed) -> Array:
+    """(p,) distances of all pairs [m]."""
+    distances = np.empty(len(arm.pairs))
+    for pair in range(len(arm.pairs)):
+        ball, body = arm.pairs[pair]
+        at = _ball_at(arm, placed, ball)
+        distances[pair] = gap(arm.anatomy, placed, body, at[0], at[1], at[2], arm.balls.radii[ball], math.inf)
+    return distances
+
+
+@makes_no_array
+def least_gap(arm: BoxedArm, placed: Placed, least: float) -> float:
+    """The least distance of all pairs; `least` if it is no less [m]."""
+    last, at = -1, (0.0, 0.0, 0.0)
+    for pair in range(len(arm.pairs)):
+        ball, body = arm.pairs[pair]
+        if ball != last:
+            last, at = ball, _ball_at(arm, placed, ball)
+        least = gap(arm.anatomy, placed, body, at[0], at[1], at[2], arm.balls.radii[ball], least)
+    return least
+
+
+@makes_no_array
+def clearance(
+    arm: BoxedArm, bodies: Indices, placed: Placed, centres: Array, radii: Array, shift: Array, least: float
+) -> float:
+    """Least distance of bodies from spheres that were moved by `shift` (3,); `least` if it is no less [m].
+
+    Args:
+        arm: the robot.
+        bodies: (b,) their numbers, `arm.own` or some of these.
+        placed: where it is.
+        centres: (m, 3) of the spheres [m].
+        radii: (m,) of the spheres [m].
+        shift: by which they have moved [m].
+        least: what is far enough [m].
+    """
+    for body in bodies:
+        for ball in range(len(radii)):
+            x, y, z = centres[ball, 0] + shift[0], centres[ball, 1] + shift[1], centres[ball, 2] + shift[2]
+            least = gap(arm.anatomy, placed, body, x, y, z, radii[ball], least)
+    return least
+
+
+@inlined
+def _ball_at(arm: BoxedArm, placed: Placed, ball: int) -> tuple[float, float, float]:
+    joint, centre = arm.balls.joints[ball], arm.balls.centres[ball]
+    rotation, origin = placed.rotation[joint], placed.translation[joint]
+    return (
+        origin[0] + rotation[0, 0] * centre[0] + rotation[0, 1] * centre[1] + rotation[0, 2] * centre[2],
+        origin[1] + rotation[1, 0] * centre[0] + rotation[1, 1] * centre[1] + rotation[1, 2] * centre[2],
+        origin[2] + rotation[2, 0] * centre[0] + rotation[2, 1] * centre[1] + rotation[2, 2] * centre[2],
+    )
+
 
 _SAMPLES = 300
 """Configurations that show which pairs can come near, and which joints carry the camera about."""

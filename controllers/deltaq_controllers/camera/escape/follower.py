@@ -12,15 +12,116 @@ import math
 
 import numpy as np
 
-from deltaq_controllers.camera.escape.arm import arm_of
-from deltaq_controllers.camera.escape.gains import EscapeGains
-from deltaq_controllers.camera.escape.plan import EscapePlan
+from deltaq_controllers.camera.escape.arm import EscapingArm, arm_of
 from deltaq_controllers.camera.escape.pursuit import Pursuit
-from deltaq_controllers.camera.escape.rollout import CourseStart
+from deltaq_controllers.camera.escape.rollout import (
+    Attacker,
+    Courses,
+    CourseStart,
+    EscapeGains,
+    Simulation,
+    best_course,
+)
 from deltaq_controllers.camera.qp_follower import QpFollower, Withdrawal
-from deltaq_controllers.camera.qp_tasks import Evasion
+from deltaq_controllers.camera.qp_problem import Evasion
 from deltaq_controllers.surroundings.barriers import Keeping
 from deltaq_protocol.arrays import Array
+
+# The plan: candidates, and the best of them.
+
+_SETS = 256
+"""Sets of rivals that are drawn in advance and tried in turn, one a cycle; the choice depends only on the cycle."""
+
+_ANYWHERE, _ABOUT_HELD = 0.5, 0.8
+"""Shares of goals that are anywhere, and of these and those about the first goal of the held course."""
+
+_FREE = 0.05
+"""Distance of goals from a joint's limits, as a fraction of its range."""
+
+_NEARBY_RAD = 0.35
+"""Spread of goals that are drawn about another one."""
+
+_FIRST_STEPS = 3
+"""Least time at a course's first goal, in steps."""
+
+_AHEAD = 2
+"""Steps over which the way along a course gives the rates that lead."""
+
+
+class EscapePlan:
+    """Holds a course, and looks for a better one; the time of every cycle has the same bound.
+
+    Args:
+        arm: the robot.
+        gains: horizon and costs.
+        cycle_s: time between two calls [s].
+
+    Attributes:
+        cost: of the course that is held, in the last cycle.
+    """
+
+    def __init__(self, arm: EscapingArm, gains: EscapeGains, cycle_s: float) -> None:
+        n, random = len(arm.lower), np.random.default_rng(0)
+        margin = _FREE * (arm.upper - arm.lower)
+        self._low, self._high = arm.lower + margin, arm.upper - margin
+        shape = (_SETS, 2, gains.rivals, n)
+        self._anywhere = random.uniform(self._low, self._high, shape)
+        self._nearby = random.normal(0.0, _NEARBY_RAD, shape)
+        self._kind = random.random((*shape[:3], 1))
+        self._until = random.integers(_FIRST_STEPS, gains.steps + 1, (_SETS, gains.rivals))
+        self._set = 0
+        self._arm, self._gains, self._cycle_s = arm, gains, cycle_s
+        self._simulation = Simulation.of(arm, gains)
+        # the held one, the best rival of the last cycle, staying where one is, and new ones
+        count = 3 + gains.rivals
+        self._courses = Courses(np.zeros((count, n)), np.zeros(count, dtype=np.intp), np.zeros((count, n)))
+        self._held: tuple[Array, int, Array] | None = None
+        self._rival: tuple[Array, int, Array] | None = None
+        self._since_s = 0.0
+        self.cost = 0.0
+
+    def rates(self, attacker: Attacker, start: CourseStart) -> Array:
+        """(n,) rates along the best course that is known [rad/s or m/s]."""
+        q, gains = start.q, self._gains
+        stay = (q, gains.steps, q)
+        held = self._held or stay
+        self._put(0, held)
+        self._put(1, self._rival or stay)
+        self._put(2, stay)
+        self._draw_rivals(q, held[0])
+        best, rival, self.cost = best_course(
+            self._arm, attacker, gains, start, self._courses, self._simulation
+        )
+        self._held, self._rival = self._aged(self._course(best)), self._course(rival)
+        rates: Array = (self._simulation.best[_AHEAD - 1] - q) / (_AHEAD * gains.step_s)
+        return rates
+
+    def _draw_rivals(self, q: Array, held: Array) -> None:
+        """The next set; each goal is anywhere, or about the first one of the held course, or about `q`."""
+        kind, nearby = self._kind[self._set], self._nearby[self._set]
+        about = np.where(kind < _ABOUT_HELD, held, q)
+        near = np.clip(about + nearby, self._low, self._high)
+        self._courses.first[3:], self._courses.then[3:] = np.where(
+            kind < _ANYWHERE, self._anywhere[self._set], near
+        )
+        self._courses.until[3:] = self._until[self._set]
+        self._set = (self._set + 1) % _SETS
+
+    def _put(self, place: int, course: tuple[Array, int, Array]) -> None:
+        self._courses.first[place], self._courses.until[place], self._courses.then[place] = course
+
+    def _course(self, place: int) -> tuple[Array, int, Array]:
+        first, until, then = self._courses
+        return first[place].copy(), int(until[place]), then[place].copy()
+
+    def _aged(self, course: tuple[Array, int, Array]) -> tuple[Array, int, Array]:
+        """The course as it is a cycle later."""
+        first, until, then = course
+        self._since_s += self._cycle_s
+        if self._since_s < self._gains.step_s:
+            return course
+        self._since_s -= self._gains.step_s
+        return (first, until - 1, then) if until > 1 else (then, self._gains.steps, then)
 
 
 class EscapingFollower(QpFollower):
