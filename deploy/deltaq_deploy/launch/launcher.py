@@ -391,8 +391,12 @@ def check_ports(services: Iterable[Service]) -> None:
 
 
 def _is_listened_at(path: Path) -> bool:
-    with socket.socket(socket.AF_UNIX) as probe:
+    with (
+        socket.socket(socket.AF_UNIX) as probe,
+        contextlib.suppress(OSError),
+    ):  # a path can be too long for a socket
         return probe.connect_ex(str(path)) == 0
+    return False
 
 
 def _bind(listener: ListeningSocket) -> None:
