@@ -29,7 +29,9 @@ from deltaq_protocol.opening import Opening
 _AT_REST = 2e-4
 """A robot is at rest when no joint moved by more from one state to the next [rad or m]."""
 _NEAR = 2e-3
-"""And when no measured joint is farther from its setpoint [rad or m]."""
+"""And when no measured joint is farther from the target [rad or m]."""
+_REACHED = 1e-6
+"""A setpoint is the target when it is nearer [rad or m]."""
 
 
 class Robot:
@@ -175,7 +177,7 @@ class Robot:
                 motion = Motion(self.name, start, self.summary, self._cell.description.cycle_s, speed)
             dq = motion.increment(own.cycle, own.q_cmd)
             if dq is None:
-                if before is not None and _is_at_rest(before, state):
+                if before is not None and rests_at(motion.end, before, state):
                     return state
                 before = state
             elif is_awaited(state):
@@ -234,10 +236,16 @@ def increment_of(summary: RobotSummary, dq: ArrayLike) -> Array:
     return increment
 
 
-def _is_at_rest(before: RobotState, state: RobotState) -> bool:
+def rests_at(end: Array, before: RobotState, state: RobotState) -> bool:
+    """Whether a robot stands at `end` (n,) [rad or m]: setpoint and drives are there, and nothing moved since `before`.
+
+    The setpoint of a state can be older than the increments on their way: a slow robot is near it, and not yet there.
+    """
     measured, setpoint = np.array(state.q), np.array(state.q_cmd)
     return bool(
-        np.abs(measured - np.array(before.q)).max() < _AT_REST and np.abs(measured - setpoint).max() < _NEAR
+        np.abs(setpoint - end).max() < _REACHED
+        and np.abs(measured - end).max() < _NEAR
+        and np.abs(measured - np.array(before.q)).max() < _AT_REST
     )
 
 

@@ -15,9 +15,9 @@ from deltaq_protocol.messages import Outcome, Reason, RobotState, RobotSummary, 
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 
 _STRAIGHT = 0.7
-"""Share of a joint's acceleration that is used along the path; the rest is left for what the setpoints lag behind."""
+"""Share of a joint's greatest acceleration with which a motion speeds up and slows down; the rest is a reserve."""
 _CURVED = 0.2
-"""Share of a joint's acceleration that is used for the path's curvature."""
+"""Share of a joint's greatest acceleration that the curvature of the path may need."""
 _PATIENCE_S = 0.5
 """A motion that the gate keeps in its place for so long has failed [s]."""
 _ARRIVED = 1e-9
@@ -124,6 +124,12 @@ class Motion:
         self._stood = 0
         self._reason: Reason | None = None
 
+    @property
+    def end(self) -> Array:
+        """(n,) the configuration at which the motion ends [rad or m]."""
+        end: Array = self._path[-1]
+        return end
+
     def take(self, verdict: Verdict) -> None:
         """A verdict on one of its increments has come.
 
@@ -162,8 +168,7 @@ class Motion:
     def _point(self, place: float) -> Array:
         """The configuration at a place of the path, from 0 to 1."""
         if place >= 1.0 - _ARRIVED:
-            end: Array = self._path[-1]
-            return end
+            return self.end
         segment, rest = divmod(place * (len(self._path) - 1), 1.0)
         before, after = self._path[int(segment)], self._path[int(segment) + 1]
         point: Array = before + rest * (after - before)

@@ -1,9 +1,9 @@
 """Envelopes of guarded messages: which process sent a message, as which of its messages, and to which process.
 
-An envelope is `checksum (4 bytes) | sender (8) | number (8) | addressee (8)` in front of the message, big-endian; the
-checksum is the CRC-32 of the zenoh key and of all that follows it. Sender and addressee
-are processes, each by a random number of its own. A message that only one service reads is addressed to that service's
-process; a message that several read, such as a state, is addressed to nobody (0). So a receiver refuses
+An envelope is `checksum (4 bytes) | sender (8) | number (8) | addressee (8)` in front of the message, big-endian. The
+checksum is the CRC-32 of the zenoh key and of all bytes after the checksum. Each process draws a random number; sender
+and addressee are such numbers. A message that only one service reads is addressed to that service's process. A message
+that several services read, such as a state, is addressed to nobody (0). A receiver refuses
 
 - what was sent to another process: a recording of an earlier run addresses processes that have ended,
 - what a process sent whose service another process has taken over, such as one that was frozen and woke up,

@@ -4,12 +4,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from deltaq.aio import rests_at
 from deltaq.motion import Motion, MotionError, joint_path
 from deltaq.tool import Tool
 from deltaq_cell.cell_model import CellModel
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles, brake_increment
-from deltaq_protocol.messages import Outcome, Reason, Verdict
+from deltaq_protocol.messages import Outcome, Phase, Reason, RobotState, Verdict
 from deltaq_protocol.reasons import ReasonCode
 
 LAB = CellModel.load("lab")
@@ -153,3 +154,22 @@ def test_a_line_out_of_reach_says_how_far_it_goes() -> None:
     tool = Tool(TOLD.kinematics["fr"], summary)
     with pytest.raises(ValueError, match=r"the tool of fr goes \d\.\d+ m of 5\.000 m: "):
         tool.line("fr", np.array(summary.home), np.array([0.0, 0.0, 5.0]))
+
+
+@pytest.mark.parametrize(
+    ("setpoint", "measured", "before", "rests"),
+    [
+        (0.0, 1e-3, 1e-3, True),
+        (0.0, 1e-3, 2e-3, False),  # it moves
+        (0.0, 3e-3, 3e-3, False),  # the drives have not followed yet
+        (1.5e-3, 1.5e-3, 1.5e-3, False),  # the last increments are on their way
+    ],
+)
+def test_a_robot_rests_at_its_target_when_setpoint_and_drives_are_there(
+    setpoint: float, measured: float, before: float, rests: bool
+) -> None:
+    def state(q: float) -> RobotState:
+        joints = {"q": (q,) * 6, "q_cmd": (setpoint,) * 6}
+        return RobotState.model_construct(robot="fr", cycle=1, phase=Phase.ENGAGED, **joints)
+
+    assert rests_at(np.zeros(6), state(before), state(measured)) is rests
