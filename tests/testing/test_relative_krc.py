@@ -18,6 +18,20 @@ def cell_with(monkeypatch, cell="lab", **settings):
     return VirtualCell(cell)
 
 
+def turned_relative_in_motion(monkeypatch):
+    """A cell whose floor robot moves as its KRC turns relative, which no real KRC does once probed; and that robot."""
+    stack = cell_with(monkeypatch)
+    stack.run_until_ready()
+    stack.acquire("fr", "test")
+    dq = np.zeros(6)
+    for _ in range(8):
+        stack.cycle()
+        dq = np.minimum(dq + FASTEST / 5, FASTEST)
+        stack.ask("fr", dq)
+    stack.arms["fr"].krc.turn("relative")
+    return stack, stack.arms["fr"]
+
+
 def furthest(stack, robot, cycles):
     """(n,) how far the joints of a robot get from where they are, in so many cycles [rad or m]."""
     start = stack.arms[robot].krc.sample.q
@@ -103,15 +117,7 @@ def test_a_krc_that_sends_one_decimal_is_not_driven(monkeypatch):
 
 @pytest.mark.long
 def test_motion_that_goes_on_after_the_brake_is_held_for_good_and_the_krc_told_to_end_it(monkeypatch):
-    stack = cell_with(monkeypatch)
-    stack.run_until_ready()
-    stack.acquire("fr", "test")
-    arm, dq = stack.arms["fr"], np.zeros(6)
-    for _ in range(8):
-        stack.cycle()
-        dq = np.minimum(dq + FASTEST / 5, FASTEST)
-        stack.ask("fr", dq)
-    arm.krc.turn("relative")  # as no real KRC does that was probed
+    stack, arm = turned_relative_in_motion(monkeypatch)
     held = 0
     while not arm.server.motion_stop:
         stack.cycle()
@@ -127,15 +133,7 @@ def test_motion_that_goes_on_after_the_brake_is_held_for_good_and_the_krc_told_t
 
 @pytest.mark.long
 def test_after_motion_was_ended_a_program_that_is_put_right_may_be_reset(monkeypatch):
-    stack = cell_with(monkeypatch)
-    stack.run_until_ready()
-    stack.acquire("fr", "test")
-    arm, dq = stack.arms["fr"], np.zeros(6)
-    for _ in range(8):
-        stack.cycle()
-        dq = np.minimum(dq + FASTEST / 5, FASTEST)
-        stack.ask("fr", dq)
-    arm.krc.turn("relative")
+    stack, arm = turned_relative_in_motion(monkeypatch)
     while arm.krc.state is not KrcState.MOTION_ENDED:
         stack.cycle()
     for _ in range(30):
