@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deltaq.motion import Motion, MotionError, checked, held, joint_path
+from deltaq.motion import InvalidMotionError, Motion, MotionError, checked, held, joint_path
 from deltaq.tool import Tool
 from deltaq_controllers.answers import Answers, own_view, view_ahead
 from deltaq_controllers.interface import Controller
@@ -129,7 +129,7 @@ class Robot:
         """
         way = np.array([dx, dy, dz], dtype=np.float64)
         if not np.isfinite(way).all():
-            raise ValueError(f"dx, dy, dz: {way} is not finite")
+            raise InvalidMotionError(f"dx, dy, dz: {way} is not finite")
         tool = self._tool()
 
         def line(start: Array) -> Array:
@@ -230,9 +230,9 @@ def increment_of(summary: RobotSummary, dq: ArrayLike) -> Array:
     """
     increment: Array = np.asarray(dq, dtype=np.float64)
     if increment.shape != (len(summary.joints),):
-        raise ValueError(f"dq: shape {increment.shape}, the robot has {len(summary.joints)} joints")
+        raise InvalidMotionError(f"dq: shape {increment.shape}, the robot has {len(summary.joints)} joints")
     if not np.isfinite(increment).all():
-        raise ValueError(f"dq: {increment} is not finite")
+        raise InvalidMotionError(f"dq: {increment} is not finite")
     return increment
 
 

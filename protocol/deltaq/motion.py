@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.errors import RefusedError
+from deltaq_protocol.errors import DeltaqError, RefusedError
 from deltaq_protocol.messages import Outcome, Reason, RobotState, RobotSummary, Verdict
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 
@@ -27,6 +27,10 @@ _PASSING = (
     *(ReasonCode.NOT_READY, ReasonCode.LEASE_NOT_HELD),
 )
 """Reasons for which one increment is refused and the next may pass."""
+
+
+class InvalidMotionError(DeltaqError, ValueError):
+    """A target, a speed or an increment that no robot of that kind can be asked for."""
 
 
 class MotionError(RefusedError):
@@ -77,11 +81,11 @@ def joint_path(robot: str, summary: RobotSummary, start: Array, target: Array) -
         ValueError: the target has another length, is not finite, or lies beyond a joint's limit.
     """
     if target.shape != start.shape:
-        raise ValueError(f"{robot} has {len(start)} joints, the target has the shape {target.shape}")
+        raise InvalidMotionError(f"{robot} has {len(start)} joints, the target has the shape {target.shape}")
     for index, name in enumerate(summary.joints):
         lower, upper, unit = summary.lower[index], summary.upper[index], summary.units[index]
         if not lower <= target[index] <= upper:
-            raise ValueError(
+            raise InvalidMotionError(
                 f"target of joint {name}: {target[index]:.6g} {unit} is not from {lower:.6g} to {upper:.6g}"
             )
     return np.stack([start, target])
@@ -105,7 +109,7 @@ class Motion:
         self, robot: str, path: Array, summary: RobotSummary, cycle_s: float, speed: float = 0.2
     ) -> None:
         if not 0.0 < speed <= 1.0:
-            raise ValueError(
+            raise InvalidMotionError(
                 f"speed: {speed:.6g} is not above 0 and at most 1 (share of the joints' velocities)"
             )
         self._robot, self._path = robot, path

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from deltaq.motion import InvalidMotionError
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import RobotKinematics, RobotSummary
 
@@ -75,7 +76,7 @@ class Tool:
             keeps = self._kept_by(q)
             if keeps:
                 far = length * (segment - 1) / segments
-                raise ValueError(f"the tool of {robot} goes {far:.3f} m of {length:.3f} m: {keeps}")
+                raise InvalidMotionError(f"the tool of {robot} goes {far:.3f} m of {length:.3f} m: {keeps}")
             path.append(q)
         return np.stack(path)
 

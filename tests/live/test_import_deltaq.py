@@ -103,3 +103,11 @@ def test_a_controller_in_a_file_drives_a_robot_from_the_command_line(ready_stack
     assert done.stdout == "fr is at rest: the controller has ended\n"
     with deltaq.connect(ready_stack.cell.hli) as cell:
         assert next(cell.states("fr")).q_cmd[0] > ready_stack.robot.home[0] + 0.015
+
+
+def test_a_controller_with_an_increment_of_the_wrong_length_ends_in_one_line(ready_stack, tmp_path):
+    file = tmp_path / "turn.py"
+    file.write_text(TURN.replace("[0.001, 0, 0, 0, 0, 0]", "[0.001]"))
+    done = deltaq_command("run", f"{file}:Turn", "--robot", "fr", "--url", ready_stack.cell.hli)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "deltaq: dq: shape (1,), the robot has 6 joints\n"
