@@ -46,10 +46,6 @@ def test_each_program_that_a_user_starts_ends_in_this_way(file: Path) -> None:
     ("command", "told"),
     [
         (["deltaq_proofs.conservatism", "--cell", "nosuch"], "nosuch: no cell of that name"),
-        (["deltaq_proofs.storm", "--cell", "nosuch"], "nosuch: no cell of that name"),
-        (["deltaq_proofs.storm", "--robot", "nosuch"], "no robot 'nosuch' in cell lab; it has fr, gr"),
-        (["deltaq_proofs.floods", "--robot", "nosuch"], "no robot 'nosuch' in cell lab; it has fr, gr"),
-        (["deltaq_proofs.floods", "--stops", "0"], "--stops 0: at least 1"),
         (["studies.directions", "--mode", "nosuch"], "invalid choice: 'nosuch'"),
         (["studies.claims", "--only", "nosuch"], "--only 'nosuch': no claim has this"),
     ],

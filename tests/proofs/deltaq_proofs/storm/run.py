@@ -40,23 +40,17 @@ class StormReport:
 
     Attributes:
         forged: datagrams of the attacker.
-        duration_s: of the attack.
-        sent: by kind, and what befell the KRC's own.
         replies: by what explains them.
         admissions: heard of the gate.
         unheard: admissions that the gate numbered, and that were lost on their way to the witness.
-        operator: what it took to go on, and the phases seen.
         server: the Robot Server's counters in the end.
         unexplained: the first correction that nothing explains; None if all are.
     """
 
     forged: int
-    duration_s: float
-    sent: dict[str, int]
     replies: dict[str, int]
     admissions: int
     unheard: int
-    operator: dict[str, int]
     server: dict[str, int]
     unexplained: str | None
 
@@ -67,7 +61,6 @@ def run_storm(
     telegrams: int,
     rate_hz: float,
     seed: int = 0,
-    on_progress: Callable[[int], None] | None = None,
 ) -> StormReport:
     """Start the cell, let a controller move the robot, attack its wire, and judge every reply.
 
@@ -77,7 +70,6 @@ def run_storm(
         telegrams: how many datagrams the attacker sends.
         rate_hz: how many of them a second.
         seed: of the attacker.
-        on_progress: called now and then with how many were sent.
 
     Raises:
         LaunchError: if a service does not come up.
@@ -97,17 +89,15 @@ def run_storm(
         # only now: no admission may come before somebody listens
         mover = Launcher([_mover(loaded, robot)], lambda *_: None, signals_raise=True)
         stack.enter_context(mover).start()
-        operator = stack.enter_context(StormOperator(description, robot))
+        stack.enter_context(StormOperator(description, robot))
 
         def look_until(enough: Callable[[], bool]) -> None:
             while not enough():
                 overheard.take()
-                if on_progress is not None:
-                    on_progress(line.forged)
                 time.sleep(_LOOK_S)
 
         look_until(lambda: len(overheard.admissions) >= _ADMITTED)
-        begun_s, line.goal = time.monotonic(), telegrams
+        line.goal = telegrams
         look_until(lambda: line.forged >= telegrams)
         ended_s, last = time.monotonic(), len(passed)
         look_until(lambda: time.monotonic() >= ended_s + _SETTLED_S)
@@ -125,12 +115,9 @@ def run_storm(
         unexplained = str(error)
     return StormReport(
         forged=line.forged,
-        duration_s=ended_s - begun_s,
-        sent=dict(line.sent),
         replies=dict(witness.counts),
         admissions=len(heard),
         unheard=len(admitted.unheard),
-        operator=dict(operator.did),
         server=overheard.counters,
         unexplained=unexplained,
     )

@@ -1,1 +1,0 @@
-"""What floods at the HLI's ports cost everybody else, in figures."""
