@@ -14,7 +14,6 @@ from json_client import JsonClient, json_client
 from small_cell import small_cell, told, tool_pose
 
 from deltaq_protocol import topics
-from deltaq_protocol.guarded import Health
 from deltaq_protocol.messages import PROTOCOL_VERSION
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli import tcp_connection
@@ -102,18 +101,6 @@ async def test_bad_increments_are_each_refused_with_their_reason_and_a_good_one_
         verdict = await client.receive("verdict")
         assert (verdict["outcome"], verdict["seq"], verdict["dq"]) == ("admitted", 8, [0.001] * 6)
         assert running.peer.increments.qsize() == 1
-
-
-async def test_a_second_client_is_refused_the_lease_and_cannot_move_the_robot(running: Running) -> None:
-    async with json_client(running.port) as first, json_client(running.port, "intruder") as second:
-        cycle = await running.peer.turn()
-        await leased(first)
-        reply = await second.ask("lease", type="lease", robot="fr", action="acquire")
-        assert (reply["granted"], reply["code"], reply["holder"]) == (False, "lease_taken", "octave")
-        second.send(**increment(1, cycle))
-        assert (await second.receive("verdict"))["reasons"][0]["code"] == "lease_not_held"
-        first.send(**increment(1, cycle))
-        assert (await first.receive("verdict"))["outcome"] == "admitted"
 
 
 async def test_the_token_of_a_lease_never_leaves_the_server_over_tcp(running: Running) -> None:
@@ -227,34 +214,6 @@ async def test_a_stop_is_obeyed_whatever_else_the_line_says(running: Running) ->
 # --- the gate's answers -----------------------------------------------------------------------------
 
 
-async def test_a_reset_that_the_gate_refuses_comes_back_with_code_and_hint(running: Running) -> None:
-    await running.peer.turn()
-    running.peer.refuses = ReasonCode.CAUSE_STANDS
-    async with json_client(running.port) as client:
-        error = await client.ask("done", type="reset", robot="fr")
-        assert (error["code"], error["hint"]) == ("cause_stands", "remove the cause, then reset again")
-        running.peer.refuses = None
-        assert (await client.ask("done", type="reset", robot="fr"))["what"] == "reset fr"
-
-
-async def test_without_a_gate_a_stop_is_answered_unreachable(running: Running) -> None:
-    await running.peer.turn()
-    running.peer.obeys = False
-    async with json_client(running.port) as client:
-        error = await client.ask("done", type="stop")
-        assert (error["code"], error["request"]) == ("unreachable", "stop")
-
-
-async def test_outputs_are_set_by_name_and_read_back(running: Running) -> None:
-    await running.peer.turn("gr")
-    async with json_client(running.port) as client:
-        error = await client.ask("io", type="io", robot="gr", outputs={"griper": True})
-        assert "gripper" in error["message"]
-        reply = await client.ask("io", type="io", robot="gr", outputs={"gripper": True})
-        assert (reply["outputs"], reply["inputs"]) == ({"gripper": True}, {"closed": True})
-        assert (await running.commanded()).outputs == {"gripper": True}
-
-
 # --- losing and finding one another ------------------------------------------------------------------
 
 
@@ -297,16 +256,6 @@ async def test_a_client_that_falls_silent_without_closing_loses_its_lease(runnin
         await silent.receive("verdict")
         assert (await running.commanded()).reason is ReasonCode.CONTROLLER_LOST
         assert (await leased(following))["holder"] == "next"
-
-
-async def test_a_client_that_loses_its_lease_for_silence_is_told_so_in_words(running: Running) -> None:
-    async with json_client(running.port) as silent:
-        await running.peer.turn()
-        await leased(silent)
-        error = await silent.receive("error")
-        assert (error["code"], error["robot"]) == ("lease_not_held", "fr")
-        assert error["message"] == "the lease of fr has run out: octave sent nothing for 1 s"
-        assert '"action":"renew"' in error["hint"]
 
 
 @pytest.mark.parametrize(
@@ -491,35 +440,3 @@ async def test_damaged_messages_from_the_guarded_realm_are_counted_and_nothing_e
         running.peer.publish_bytes(key, b"\xc1 no message")
     await running.counted("malformed_guarded", 4)
     await running.peer.turn()
-
-
-async def test_states_carry_the_tool_pose_and_go_to_everybody_who_said_hello(running: Running) -> None:
-    async with json_client(running.port) as client, json_client(running.port, name=None) as stranger:
-        await running.peer.turn()
-        state = await client.receive("state")
-        assert (state["robot"], state["phase"], state["q"]) == ("fr", "ready", [0.1] * 6)
-        assert state["tool"] == {"position": [0.0, 0.0, 0.1], "quaternion_wxyz": [1.0, 0.0, 0.0, 0.0]}
-        error = await stranger.ask("state", type="describe")
-        assert error["type"] == "error"
-
-
-async def test_the_health_of_the_hli_names_what_it_does_not_hear(running: Running) -> None:
-    await running.peer.turn()
-    running.peer.publish_from_sim(
-        topics.HEALTH.key("small", service="sim"),
-        Health(
-            service="sim",
-            healthy=True,
-            time_s=0.0,
-            counters={"admitted": 1},
-            cell=running.hli.core.description.identity,
-        ),
-    )
-    async with asyncio.timeout(300):
-        while running.hli.status().gate != {"admitted": 1}:
-            await asyncio.sleep(0.005)
-        health = await running.peer.health.get()
-        while "gr: no server-state yet" not in health.detail:
-            health = await running.peer.health.get()
-    assert health.detail.startswith("lagging: ")
-    assert health.service == "hli"

@@ -194,10 +194,3 @@ def test_a_wish_outlives_the_lease_of_who_followed_and_the_answer_says_who_does(
     answer = desk.ask()
     assert answer == ViewReply(robot="fr", view=ViewWish(distance_m=1.0), holder=None)
     assert desk.shown() == ViewWish(distance_m=1.0)
-
-
-def test_an_hli_that_goes_on_from_a_snapshot_knows_the_wish() -> None:
-    desk, other = Desk(), Desk()
-    desk.ask(distance_m=1.0)
-    other.core.restore(desk.core.snapshot())
-    assert other.shown() == ViewWish(distance_m=1.0)

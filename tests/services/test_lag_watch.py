@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from remembered import remembered
 
 from deltaq_cell.description import ServoLag
 from deltaq_cell.drive_lag import modelled_lag
@@ -109,15 +108,3 @@ def test_where_the_probe_told_nothing_the_mean_delay_of_a_moving_axis_is_told():
     known = [lag_s for lag_s in arm.run(4.0).lag_s() if lag_s is not None]
     assert len(known) >= 3
     assert known == pytest.approx([0.12] * len(known), abs=0.01)
-
-
-def test_another_that_takes_its_place_goes_on_as_it_would():
-    arm = Arm(LAB, SLOW, presumed_s=0.072, probed=QUICK)
-    for _ in range(30):
-        arm.run(0.1, "reply")
-        heir = Arm(LAB, SLOW, presumed_s=0.072, probed=QUICK).watch
-        heir.restore(arm.watch.snapshot())
-        arm.watch, one = heir, arm.watch
-        assert remembered(heir) == remembered(one)
-        assert (heir.lag_s(), heir.fault) == (one.lag_s(), one.fault)
-    assert arm.watch.fault

@@ -92,16 +92,6 @@ def test_a_stop_of_a_robot_that_is_not_heard_is_never_confirmed(unheard: str) ->
     assert rig.state.phase is Phase.HELD  # the other one has stopped
 
 
-def test_a_gate_that_recalls_another_s_memory_knows_whom_a_stop_waits_for() -> None:
-    rig = Rig()
-    rig.command(kind="stop")
-    heir = Sim(CELL, epoch=9)
-    heir.restore(rig.sim.snapshot())
-    assert heir.snapshot() == rig.sim.snapshot()
-    rig.sim = heir
-    _cycles_until_answered(rig)
-
-
 def test_a_reset_is_answered_when_the_robot_shows_it() -> None:
     rig = Rig()
     rig.command(kind="stop")

@@ -420,31 +420,6 @@ def test_a_telegram_lost_within_a_response_hardly_changes_the_lag_that_is_told()
         assert one.settled_s == pytest.approx(other.settled_s, abs=0.006)
 
 
-def told(probe):
-    """All that a Robot Server hears of a probe in one cycle."""
-    return probe.mode, probe.unseen, probe.idle, probe.detail, probe.added_to(np.zeros(9)).tolist()
-
-
-@pytest.mark.parametrize("at", [2, 3, 6, 11, HALF + 6, TRIAL - 1, TRIAL, TRIAL + 20])
-@pytest.mark.parametrize("story", ["absolute", "relative", "stands still", "adrift", "told to end"])
-def test_another_that_takes_its_place_goes_on_as_it_would(story, at):
-    arm = Arm("relative" if story == "relative" else "absolute", moves=story in ("absolute", "relative"))
-    for cycle in range(1, 2 * TRIAL + PAUSE):
-        if story == "adrift" and cycle == at - 1:
-            arm.sag = 1.1 * ADRIFT * SIZE
-            arm.q = arm.start + arm.sag
-        if story == "told to end" and cycle == at:
-            arm.probe.end()
-        if cycle == at:
-            heir = ModeProbe(GR, LAB.cycle_s, round(LAG_S / LAB.cycle_s), GR.home + 1.0)
-            heir.restore(arm.probe.snapshot())
-        if cycle >= at:
-            assert told(heir) == told(arm.probe)
-            heir.cycle(arm.measured(), arm.ipoc, False)
-        arm.cycle()
-    assert told(heir) == told(arm.probe)
-
-
 WINDOW = 12
 SHAPE = Trial(rest=3, pulse=3, window=WINDOW)
 FIRST, SECOND = 4, 4 + WINDOW

@@ -203,23 +203,6 @@ def test_a_controller_that_paused_has_left_no_cycle_empty(pause: int, empty: int
     assert buffer.told().empty == empty
 
 
-def test_a_buffer_that_goes_on_from_a_snapshot_has_forgotten_nothing() -> None:
-    link, heir, draw = Link(), Link(), random.Random(5)
-    link.run([draw.choice((3, 9, 9)) for _ in range(200)])
-    link.buffer.put(asked(link.cycle - 1, link.cycle), link.cycle)
-    heir.buffer.restore(link.buffer.snapshot())
-    assert remembered(heir.buffer) == remembered(link.buffer)
-    heir.cycle, heir.played, heir.left = link.cycle, [*link.played], [*link.left]
-    for ages in ([3] * 150, [3] * 400):  # once while the delay is about to shrink
-        link.run([*ages])
-        heir.run([*ages])
-        assert (heir.played, heir.late) == (link.played, link.late)
-        assert remembered(heir.buffer) == remembered(link.buffer)
-        again = new_buffer()
-        again.restore(heir.buffer.snapshot())
-        heir.buffer = again
-
-
 @settings(max_examples=60, deadline=None)
 @given(
     st.lists(st.one_of(st.none(), st.integers(0, MOST_CYCLES)), min_size=1, max_size=120),

@@ -7,7 +7,6 @@ import re
 import numpy as np
 import pytest
 from krc_side import CELL, FR, KRC, MAX_DV, XML, KrcSide, telegram
-from remembered import remembered
 
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
@@ -579,14 +578,3 @@ def test_slow_moments_with_others_between_them_are_no_fault():
             time_s += 0.004 if window % 4 == 3 else 0.012
             meter.tick(1, time_s)
         assert meter.fault == ""
-
-
-def test_a_meter_goes_on_from_the_memory_of_another():
-    times = every(0.0078, 0.5)
-    one, heir = metered(0.012, 1, times), CycleMeter(0.012, SILENCE_S, None)
-    heir.restore(one.snapshot())
-    for number in range(200):
-        for meter in (one, heir):
-            meter.tick(1, times[-1] + (number + 1) * 0.004)
-        assert remembered(heir) == remembered(one)
-    assert one.fault

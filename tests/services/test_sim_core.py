@@ -32,75 +32,12 @@ def refused(verdict):
     return verdict.reasons[0].code
 
 
-def test_an_increment_is_admitted_and_named_by_what_it_follows(rig):
-    verdict = rig.request()
-    admission = rig.mail["fr"][0]
-    assert verdict.outcome is Outcome.ADMITTED
-    assert (admission.cycle, admission.follows_sequence) == (rig.state.cycle, rig.state.sequence)
-    assert admission.follows_q_cmd == rig.state.q_cmd
-    rig.cycle()
-    assert rig.state.phase is Phase.ENGAGED
-    assert rig.state.sequence == admission.sequence
-
-
 def test_each_state_is_decided_once_and_the_next_request_waits_for_the_next_state(rig):
     assert rig.request().outcome is Outcome.ADMITTED
     assert rig.request() is None
     rig.cycle()
     assert rig.verdict() is None  # until the HLI has nothing newer
     assert rig.alive().outcome is Outcome.ADMITTED
-
-
-def test_of_two_that_wait_the_newer_counts_and_the_other_is_told(rig):
-    rig.request()
-    rig.request(seq=5)
-    verdict = rig.request(seq=6)
-    assert (refused(verdict), verdict.seq) == (ReasonCode.SUPERSEDED, 5)
-    rig.cycle()
-    assert rig.alive().seq == 6
-
-
-def test_a_stale_request_is_refused_with_the_oldest_cycle_allowed(rig):
-    for _ in range(20):
-        rig.cycle()
-    verdict = rig.request(cycle=rig.state.cycle - 11)
-    assert refused(verdict) is ReasonCode.STALE_CYCLE
-    assert verdict.reasons[0].bound == rig.state.cycle - 10
-    assert rig.request(cycle=rig.state.cycle - 10).outcome is Outcome.ADMITTED
-
-
-def test_a_request_may_overtake_the_state_it_answers_but_not_by_far(rig):
-    assert rig.request(cycle=rig.state.cycle + 1) is None
-    rig.cycle()
-    assert rig.verdict().outcome is Outcome.ADMITTED
-    rig.cycle()
-    assert refused(rig.request(cycle=rig.state.cycle + 9)) is ReasonCode.FUTURE_CYCLE
-
-
-def test_a_replayed_sequence_is_refused(rig):
-    rig.request(seq=7)
-    rig.cycle()
-    assert refused(rig.request(seq=7)) is ReasonCode.REPLAYED_SEQUENCE
-    assert refused(rig.request(seq=3)) is ReasonCode.REPLAYED_SEQUENCE
-
-
-def test_an_older_lease_is_refused_and_a_newer_one_begins_to_count_again(rig):
-    rig.request(seq=7, lease_epoch=3)
-    rig.cycle()
-    assert refused(rig.request(seq=8, lease_epoch=2)) is ReasonCode.LEASE_NOT_HELD
-    assert rig.request(seq=1, lease_epoch=4).outcome is Outcome.ADMITTED
-
-
-def test_seven_numbers_are_refused(rig):
-    verdict = rig.request(dq=(0.0,) * 7)
-    assert refused(verdict) is ReasonCode.BAD_SHAPE
-    assert (verdict.reasons[0].value, verdict.reasons[0].bound) == (7, 6)
-
-
-def test_an_unknown_robot_is_counted_and_disturbs_nothing(rig):
-    assert rig.request(robot="nobody") is None
-    assert rig.sim.counters["unknown_request"] == 1
-    assert rig.request().outcome is Outcome.ADMITTED
 
 
 def test_a_stop_holds_every_robot_until_each_is_reset(rig):
@@ -120,18 +57,6 @@ def test_a_stop_holds_every_robot_until_each_is_reset(rig):
     assert rig.servers["gr"].state.phase is Phase.HELD
 
 
-def test_a_reset_is_refused_while_the_robot_comes_to_rest(rig):
-    for count in range(1, 8):
-        rig.request(dq=(count * 1.5e-3, 0, 0, 0, 0, 0))
-        rig.cycle()
-    rig.command(kind="stop")
-    rig.cycle()
-    rig.cycle()
-    assert rig.state.phase is Phase.HELD
-    reply = rig.command(kind="reset", robot="fr")
-    assert (reply.accepted, reply.code) == (False, ReasonCode.NOT_AT_REST)
-
-
 def test_a_robot_off_its_path_is_held_and_not_reset_before_it_is_back(rig):
     rig.cycle(offset=0.1)
     rig.cycle(offset=0.1)
@@ -148,47 +73,10 @@ def test_a_robot_off_its_path_is_held_and_not_reset_before_it_is_back(rig):
     assert rig.state.phase is Phase.READY
 
 
-def test_a_silent_hli_holds_the_robots_it_served(rig):
-    rig.alive()
-    for _ in range(60):
-        rig.cycle()
-    assert (rig.state.phase, rig.state.reason) == (Phase.HELD, ReasonCode.HLI_LOST)
-    assert rig.servers["gr"].state.phase is Phase.READY
-
-
 def test_a_silent_krc_is_a_standing_cause(rig):
     rig.servers["fr"].krc_silent(rig.time_s + 1)
     rig.deliver(rig.sim.on_state(rig.state))
     assert rig.command(kind="reset", robot="fr").code is ReasonCode.CAUSE_STANDS
-
-
-def test_a_lost_admission_stays_part_of_what_the_robot_may_do(rig):
-    rig.request(dq=(1e-3, 0, 0, 0, 0, 0))
-    tracker = rig.sim.robots["fr"].tracker
-    assert len(tracker.tubes()) == 2
-    rig.mail["fr"] = (None, rig.mail["fr"][1])
-    rig.cycle()
-    assert len(tracker.tubes()) == 1
-    assert tracker.missed == 1
-
-
-def test_digital_outputs_reach_the_robot(rig):
-    rig.command(kind="io", robot="gr", outputs={"gripper": True})
-    rig.cycle()
-    rig.cycle()
-    assert rig.servers["gr"].outputs["gripper"] is True
-
-
-def test_a_state_of_the_wrong_length_is_counted_and_ignored(rig):
-    state = rig.state.model_copy(update={"q": (0.0,) * 5, "cycle": rig.state.cycle + 1})
-    assert rig.sim.on_state(state) == []
-    assert rig.sim.counters["unknown_state"] == 1
-
-
-def test_the_nearest_pair_is_told_with_its_distance(rig):
-    near = rig.sim.nearest()
-    assert 0.02 < near.distance_m < 0.2
-    assert np.linalg.norm(np.subtract(*near.points_m)) == pytest.approx(near.distance_m, abs=1e-6)
 
 
 def test_retreat_leads_out_of_a_violation_slowly_and_not_further_in():
@@ -276,12 +164,6 @@ def test_a_robot_server_that_was_started_anew_is_held_until_a_reset(rig):
     for _ in range(8):
         rig.cycle()
     assert rig.state.phase is Phase.READY
-
-
-def test_a_verdict_tells_how_long_the_brake_behind_it_takes(rig):
-    admitted = rig.request()
-    assert admitted.time_to_stop_s == pytest.approx(rig.mail["fr"][0].brake_cycles * CELL.description.cycle_s)
-    assert admitted.time_to_stop_s > 0.0
 
 
 # The gate's fingerprint: which code it is of.
@@ -587,21 +469,6 @@ def test_commands_are_counted_by_kind(rig):
         2,
         1,
     )
-
-
-def test_a_stop_is_answered_once_the_last_robot_shows_it_and_at_once_where_all_show_it_already(
-    rig,
-):
-    assert rig.command(kind="stop") is None
-    rig.cycle()
-    assert rig.reply() is None  # the states are those before the stop came
-    rig.cycle()
-    assert [type(message) for message in rig.said] == [Supervision, Supervision, CommandReply]
-    assert (rig.reply().id, rig.reply().accepted) == (1, True)
-    rig.cycle()
-    assert rig.reply() is None
-    again = rig.command(kind="stop")
-    assert (again.id, again.accepted) == (2, True)
 
 
 def test_a_stop_refuses_the_request_that_waits_and_that_one_only(rig):
