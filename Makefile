@@ -69,9 +69,9 @@ demo: $(USERS) ## start the emulated lab cell and let the camera follow, for DEM
 test: $(INSTALLED) ## lint, types, rooms, tests
 	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target compiled-gate compiled-modes lint compiled-camera
 	@echo "single services, and beside them all that starts none; each is shown as it ends"
-	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target test-services test-rest
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target COMPILED= test-services test-rest
 	@echo "whole cells, one at a time and nothing beside them: their services come before everything else"
-	@$(MAKE) --no-print-directory test-live
+	@$(MAKE) --no-print-directory COMPILED= test-live
 
 test-live: $(INSTALLED) $(COMPILED)
 	$(BIN)/pytest -m live

@@ -12,7 +12,8 @@ from deltaq_protocol.certified.names import IDENTITY
 from deltaq_protocol.messages import Phase
 from deltaq_services.recorder.shell import Recorder
 
-pytestmark = pytest.mark.live
+# tests/security/test_encrypted_realm.py holds it by day, service by service
+pytestmark = [pytest.mark.live, pytest.mark.nightly]
 
 
 def test_services_under_identities_move_a_robot_and_one_of_another_authority_is_not_heard(

@@ -17,7 +17,8 @@ from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.session import open_session
 
-pytestmark = pytest.mark.live
+# tests/security/test_identified_clients.py holds by day who is served and what each role may do
+pytestmark = [pytest.mark.live, pytest.mark.nightly]
 
 STEPS = 20
 
@@ -118,7 +119,6 @@ def test_only_who_has_an_identity_connects_and_nobody_reads_along(tmp_path, fold
                 stack.wait_cycles(1)
 
 
-@pytest.mark.nightly
 def test_without_encryption_it_is_all_read_along(tmp_path, folder, monkeypatch):
     """The control: the same tap at the same place."""
     with stack_over("tcp", tmp_path) as stack:

@@ -22,7 +22,8 @@ from deltaq_testing.impairment.relay import TrafficUnit
 from deltaq_testing.impairment.stream import StreamFaults
 from deltaq_testing.virtual_cell.parts import Link
 
-pytestmark = pytest.mark.live
+# tests/services hold it by day of HLI and gate, each alone
+pytestmark = [pytest.mark.live, pytest.mark.nightly]
 
 WHOLE, STALLED, CUT = StreamFaults(), StreamFaults(stalled=True), StreamFaults(cut=True)
 TWO_SECONDS = 170
