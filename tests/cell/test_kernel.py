@@ -192,37 +192,6 @@ def test_nothing_that_was_asked_before_changes_a_bit(cell, proximity):
     assert answers(CompiledProximity(cell)) == first
 
 
-def test_a_pair_that_is_left_out_is_neither_found_nor_told(cell):
-    proximity = CompiledProximity(cell)
-    name = next(iter(cell.robots))
-    groups = proximity.alone[name]
-    q = cell.robots[name].home
-    proximity.place(name, q, np.full(q.size, 0.2))
-    before = proximity.look(groups, 1.0)
-    pair = before.tightest.pair
-    proximity.leave_out([pair])
-    after = proximity.look(groups, 1.0)
-    assert frozenset(after.tightest.pair) != frozenset(pair)
-    assert room_of(after) >= room_of(before)
-    proximity.leave_out([pair], left_out=False)
-    assert proximity.look(groups, 1.0).tightest.pair == pair
-
-
-def test_a_pair_of_its_own_has_its_own_stop_distance(cell):
-    proximity = CompiledProximity(cell)
-    name = next(iter(cell.robots))
-    q = cell.robots[name].home
-    proximity.place(name, q, np.zeros(q.size))
-    group = proximity.alone[name][0]
-    single = proximity.pair(group, 0)
-    distance = proximity.look([single], 0.0).tightest.distance_m
-    single.stop_distance_m = distance - 1e-4
-    assert proximity.look([single], 0.0).failing == []
-    single.stop_distance_m = distance + 1e-4
-    assert proximity.look([single], 0.0).failing == [single]
-    assert group.stop_distance_m != single.stop_distance_m
-
-
 def test_what_fails_can_be_looked_at_again(cell, proximity):
     random = np.random.default_rng(2)
     seen = 0

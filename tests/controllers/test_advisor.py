@@ -424,17 +424,6 @@ def test_a_robot_without_a_joint_to_spare_is_refused() -> None:
         AdvisorProblem(lab, "xy", fr.forward(fr.home)[None])
 
 
-@pytest.mark.long
-def test_the_gantry_robot_is_advised_too() -> None:
-    lab = CellModel.load("lab")
-    gr = lab.robots["gr"]
-    task = AdvisorProblem(lab, "gr", gr.forward(gr.home)[None])
-    pool = search(task, np.random.default_rng(14), effort=0.1)
-    assert len(pool.q) >= 3
-    for q in pool.q[:5]:
-        assert np.abs(gr.forward(q) - task.poses[0]).max() < 1e-9
-
-
 def test_a_pool_keeps_its_best_and_tells_them_apart() -> None:
     pool = Pool(np.empty((0, 2)))
     pool.add(np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 1.0]]), np.array([2.0, 1.0, 3.0]))

@@ -93,17 +93,6 @@ def test_coupled_goes_as_far_in_every_direction(robot: str) -> None:
         goes_as_far(robot, rates)
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize("robot", ["fr", "dawm", "gr"])
-def test_decoupled_goes_as_far_as_before(robot: str) -> None:
-    for rates in commands(model(robot)):
-        found = gone(robot, DECOUPLED, rates)
-        assert found.off_line_mm < OFF_LINE_MM, found
-        ((_, rate),) = rates.items()
-        before = DECOUPLED_BEFORE[robot].get(found.axis, abs(rate) * DURATION_S)
-        assert found.reached > before - SPEEDING_UP * abs(rate) * DURATION_S, found
-
-
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("robot", "mode", "axis", "rate", "limit"),

@@ -415,25 +415,6 @@ def test_a_trade_off_that_is_none_is_refused_and_nothing_is_looked_for(names, to
     assert bench.pilot.ways() is ways
 
 
-@pytest.mark.nightly
-def test_options_of_a_trade_off_are_a_front_of_its_criteria_until_it_is_asked_for_without():
-    bench = Bench(teleoperator=advised(CellModel.load("lab").robots["gr"]))
-    bench.changes(DrivingMode.ADVISOR)
-    bench.cycles(20)
-    assert bench.pilot.report(DriverStage.LEASED).search.trade_off is None
-    names = ("travel", "compliance")
-    bench.pilot.advise(again=True, trade_off=names)
-    bench.cycles(5)
-    assert bench.pilot.report(DriverStage.LEASED).search.trade_off == names
-    first, second = ([way.costs[name] for way in bench.pilot.ways().ways] for name in names)
-    assert len(first) > 1
-    assert first == sorted(first)
-    assert second == sorted(second, reverse=True)
-    bench.pilot.advise(again=True)
-    bench.cycles(5)
-    assert bench.pilot.report(DriverStage.LEASED).search.trade_off is None
-
-
 @pytest.mark.long
 def test_an_arm_without_a_joint_to_spare_is_advised_on_as_long_as_its_hand_may_leave_its_pose():
     bench = Bench(teleoperator=advised(CellModel.load("lab").robots["fr"], hands_may_leave=True))

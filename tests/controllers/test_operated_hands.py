@@ -60,17 +60,6 @@ def test_a_robot_with_one_hand_holds_no_object_and_stays_in_its_mode():
     assert (report(bench).mode, report(bench).frame, report(bench).grip) == (JOINT, "world", "free")
 
 
-@pytest.mark.parametrize("mode", [JOINT, DrivingMode.POSE, DrivingMode.FOLLOW])
-@pytest.mark.parametrize("grip", [None, "object"])
-def test_a_mode_that_would_part_the_hands_is_refused_and_the_object_stays_held(mode, grip):
-    bench = holding()
-    with pytest.raises(ControllerError, match=f"mode {mode.value} .*would part.*grip free first"):
-        bench.changes(mode, "tool", grip)
-    told = report(bench)
-    assert (told.mode, told.frame, told.grip) == (COUPLED, "world", "object")
-    assert told.hands_off is not None
-
-
 @pytest.mark.parametrize(
     ("wish", "told"),
     [
@@ -101,14 +90,6 @@ def test_an_object_is_taken_at_rest_moved_as_one_and_let_go():
     bench.changes(JOINT, grip="free")
     bench.cycles(30)
     assert (report(bench).grip, report(bench).hands_off) == ("free", None)
-
-
-def test_who_says_nothing_of_the_grip_lets_nothing_go():
-    bench = holding()
-    bench.changes(DrivingMode.DECOUPLED, "tool")
-    bench.cycles(30)
-    assert report(bench).grip == "object"
-    assert report(bench).hands_off is not None
 
 
 @pytest.mark.parametrize("between_them", ["held", "begin"])
@@ -160,25 +141,6 @@ class Led:
 HELD = {"led": ""}
 
 
-def test_a_robot_that_would_lead_itself_is_no_master_and_the_one_before_stays():
-    led = Led()
-    led.bench.pilot.wishes.choose_master("fr", 0.5)
-    with pytest.raises(ControllerError, match="master gr: a robot cannot lead itself"):
-        led.bench.pilot.wishes.choose_master("gr", 1.0)
-    assert (report(led.bench).master, report(led.bench).master_scale) == ("fr", 0.5)
-
-
-@pytest.mark.parametrize("mode", [JOINT, DrivingMode.SELF_MOTION, DrivingMode.POSE])
-def test_in_a_mode_without_hands_nothing_is_led(mode):
-    led = Led()
-    led.bench.pilot.wishes.choose_master("fr", 1.0)
-    led.bench.changes(mode)
-    led.bench.cycles(20)
-    with pytest.raises(ControllerError, match=mode.value):
-        led.bench.wishes(led="")
-    assert led.bench.cycles(10)[-1] is None
-
-
 @pytest.mark.long
 def test_the_hand_follows_while_the_wish_lasts_and_rests_when_it_ends():
     led = Led()
@@ -197,22 +159,6 @@ def test_the_hand_follows_while_the_wish_lasts_and_rests_when_it_ends():
     assert led.hand() == pytest.approx(rested, abs=1e-9)
     led.bench.pilot.wishes.choose_master("", 1.0)
     assert report(led.bench).master == ""
-
-
-def test_a_master_that_is_lost_lets_go_until_it_is_coupled_anew():
-    led = Led()
-    led.bench.pilot.wishes.choose_master("fr", 1.0)
-    led.drive(50, HELD, z=0.1)
-    led.is_seen = False
-    led.drive(50, HELD, z=0.1)
-    assert "is not seen" in report(led.bench).doing
-    led.is_seen = True
-    rested = led.hand()
-    led.drive(50, HELD, z=0.1)
-    assert led.hand() == pytest.approx(rested, abs=1e-9), "it is still held, and has to be let go"
-    led.drive(50)
-    led.drive(50, HELD, z=0.1)
-    assert led.hand()[2] > rested[2] + 0.02
 
 
 # The way to a pose of a hand, and how far it is clear; the bad case first.

@@ -74,11 +74,6 @@ def test_leaving_by_an_error_or_an_interrupt_releases_the_lease(
     assert server.peer.commands.empty()
 
 
-def test_a_lease_held_by_another_is_refused(cell: BlockingCell) -> None:
-    with cell.lease("fr", client="first"), pytest.raises(RefusedError, match="first"), cell.lease("fr"):
-        pass
-
-
 def test_leaving_ends_the_thread_though_an_iterator_is_still_open(server: Server) -> None:
     with connect(server.description.hli) as cell:
         states = cell.states("fr")
@@ -112,15 +107,6 @@ def test_a_script_that_does_not_wait_sends_one_increment_a_state_and_gets_every_
         sent = [robot.send(DQ) for _, state in zip(range(30), robot.states(), strict=False)]
         got = [next(verdicts) for _ in sent]
     assert sorted(verdict.seq for verdict in got) == sent == list(range(1, 31))
-
-
-def test_where_a_verdict_is_lost_a_script_is_told_so_and_goes_on(cell: BlockingCell, server: Server) -> None:
-    with cell.lease("fr") as robot:
-        robot.move(DQ)
-        server.peer.judges = False
-        assert robot.move(DQ).outcome is Outcome.UNKNOWN
-        server.peer.judges = True
-        assert robot.move(DQ).outcome is Outcome.ADMITTED
 
 
 def test_when_the_lease_is_taken_a_script_is_told_by_its_next_increment(cell: BlockingCell) -> None:

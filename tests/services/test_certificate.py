@@ -113,24 +113,6 @@ def test_travel_bounds_the_motion_of_every_corner_within_the_box(cell, proximity
                     assert proximity.least(group) >= bound - 1e-6
 
 
-def test_the_order_of_the_queries_changes_no_bit(cell, proximity):
-    random = np.random.default_rng(5)
-    groups = [group for groups in proximity.alone.values() for group in groups]
-    for name, robot in cell.robots.items():
-        proximity.place(name, robot.home, np.full(robot.n, 0.01))
-    first = {id(group): proximity.least(group) for group in groups}
-    for _ in range(5):
-        for name, robot in cell.robots.items():
-            q = np.clip(robot.home + random.uniform(-0.3, 0.3, robot.n), robot.lower, robot.upper)
-            proximity.place(name, q, np.full(robot.n, 0.02))
-        for index in random.permutation(len(groups)):
-            proximity.least(groups[index])
-        for name, robot in cell.robots.items():
-            proximity.place(name, robot.home, np.full(robot.n, 0.01))
-        for index in random.permutation(len(groups)):
-            assert proximity.least(groups[index]) == first[id(groups[index])]
-
-
 def test_an_empty_budget_means_no(cell, proximity):
     q = cell.robots["fr"].home
     far = Span.around(
@@ -269,16 +251,6 @@ def test_the_pair_that_is_told_is_the_readable_ones(cornered):
         if told.holds and expected.holds:
             assert told.binding.room_m == pytest.approx(expected.binding.room_m, abs=2e-6)
             assert told.binding.nearest.pair == expected.binding.nearest.pair
-
-
-def test_nobody_is_told_who_did_not_ask(cornered):
-    for one in cornered:
-        told, quiet = (
-            CompiledCertifier(PROXIMITY).certify(*one),
-            CompiledCertifier(PROXIMITY, tells=False).certify(*one),
-        )
-        assert quiet.holds == told.holds
-        assert quiet.binding is None
 
 
 def test_nothing_that_was_certified_before_changes_a_bit(cornered):

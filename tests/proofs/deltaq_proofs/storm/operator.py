@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
-
 from deltaq_cell.description import CellDescription
 from deltaq_deploy.launch.cell_connection import connect
 from deltaq_emulator.states import KrcState
@@ -23,14 +21,10 @@ class StormOperator(Worker):
     Args:
         cell: the running cell.
         robot: whose KRC and phase.
-
-    Attributes:
-        did: what was done, and how often the robot was seen in which phase.
     """
 
     def __init__(self, cell: CellDescription, robot: str) -> None:
         super().__init__("operator")
-        self.did: Counter[str] = Counter()
         self._cell, self._robot = cell, robot
 
     def work(self) -> None:
@@ -44,11 +38,7 @@ class StormOperator(Worker):
                     again = looks % _RESTART_LOOKS == 0 and state == KrcState.RSI_RUNNING
                     for request in recovery(state) or ([{"op": "restart"}] if again else []):
                         panel.ask(request)
-                        self.did[f"KRC: {request['op']}"] += 1
-                    phase = running.status().robots[self._robot].phase
-                    self.did[f"seen {phase}"] += 1
-                    if phase is Phase.HELD:
+                    if running.status().robots[self._robot].phase is Phase.HELD:
                         running.reset(self._robot)
-                        self.did["reset"] += 1
                 except (PanelError, RefusedError, ServiceUnreachableError):
-                    self.did["refused"] += 1  # asked again at the next look
+                    continue  # asked again at the next look
