@@ -49,7 +49,7 @@ def guarded_fault(cell: CellDescription) -> tuple[GuardedEndpoint, str] | None:
         if each.text.startswith("tcp/") and not Endpoint.parse(each.text).is_loopback:
             return each, (
                 "other machines reach this address, and plain tcp/ lets all of them in; write tls/HOST:PORT and make "
-                "identities with `deltaq keys CELL --to FOLDER`, or leave the field out on one machine"
+                "identities with `deltaq keys --cell CELL --output FOLDER`, or leave the field out on one machine"
             )
         if encrypted and each not in encrypted:
             return each, (

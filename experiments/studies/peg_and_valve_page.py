@@ -25,7 +25,7 @@ SEEDS = 10
 
 BEFORE = f"""# The modes compared
 
-`python -m studies.peg_and_valve_page` writes this page; `deltaq peg-and-valve` prints the same figures.
+`python -m studies.peg_and_valve_page` writes this page; `deltaq experiment peg-and-valve` prints the same figures.
 A scripted operator inserts a peg by {1000 * PEG_M:.0f} mm into a hole and removes it, then turns a valve by 60 degrees,
 with the gantry robot, in virtual time, through the gate. The seed places hole and valve within
 {1000 * PLACED_M:.0f} mm and 10 degrees of their usual places, and determines the operator. Each cell of the table has

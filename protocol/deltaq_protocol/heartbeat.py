@@ -1,7 +1,7 @@
 """A heartbeat to the supervisor of this process: a file for a container's health check, and systemd's socket.
 
 The loop that does a service's work gives it, so a loop that hangs is found; and whoever looks needs no session, no key
-and no interpreter. `deltaq health` asks a service over the network instead, as its clients do.
+and no interpreter. `deltaq status --service` asks a service over the network instead, as its clients do.
 """
 
 from __future__ import annotations

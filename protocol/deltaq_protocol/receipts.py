@@ -2,7 +2,7 @@
 
 A receipt is the SHA-256 of the receipt before it and of the verdict itself, as JSON without the fields that have
 their default. Anybody who keeps one receipt can later show that no refusal before it was changed, added or
-removed; `deltaq replay` verifies the whole chain of a recording.
+removed; `deltaq recording replay` verifies the whole chain of a recording.
 """
 
 from __future__ import annotations

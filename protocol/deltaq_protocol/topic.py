@@ -34,7 +34,7 @@ class Party(StrEnum):
     SIM = "SIM"
     ROBOT_SERVER = "Robot Server"
     WATCHER = "watcher"
-    """The recorder and `deltaq health`: they only listen."""
+    """The recorder and `deltaq status --service`: they only listen."""
 
 
 class Priority(StrEnum):
@@ -127,7 +127,7 @@ class Topic:
     """One row of the table.
 
     Attributes:
-        name: what people call it, as in `deltaq echo NAME`.
+        name: what people call it, as in `deltaq topic echo NAME`.
         template: zenoh key with `{cell}`, `{robot}` and `{service}` to be filled in.
         message: type of the payload.
         publishers: who publishes the stream, or asks the query.

@@ -1,7 +1,7 @@
 """The table of topics: key, message, answer, rate, greatest age, priority, who publishes, reads, may and records it.
 
 Publishers' pace and priority, what is too old to act upon, what counts as lagging, access to the sessions, what the HLI
-does for a client of which role, the recorder, `deltaq hz`, the documentation and the tests all follow from this table.
+does for a client of which role, the recorder, `deltaq topic hz`, documentation and tests all follow from this table.
 
 Where the cell's `gate` bounds an age in seconds too (`max_request_age_s`), the lesser of the two decides.
 """

@@ -158,7 +158,7 @@ def service_tls(
     if not folder:
         raise GuardedRealmError(
             f"{encrypted[0]} of cell {cell.cell} is encrypted, and {IDENTITY} names no identity; "
-            "make them with `deltaq keys CELL --to FOLDER`"
+            "make them with `deltaq keys --cell CELL --output FOLDER`"
         )
     from deltaq_services.service_identity import tls_settings
 

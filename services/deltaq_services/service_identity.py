@@ -60,7 +60,7 @@ def _of_cell(cell: CellDescription, folder: Path) -> Identity:
     if identity.cell != cell.cell:
         raise IdentityError(
             f"{folder} is an identity of cell {identity.cell}, and this is cell {cell.cell}; "
-            "`deltaq keys CELL --to FOLDER` makes those of a cell"
+            "`deltaq keys --cell CELL --output FOLDER` makes those of a cell"
         )
     return identity
 

@@ -70,7 +70,7 @@ def test_an_unknown_mode_or_robot_is_named() -> None:
     with pytest.raises(ControllerError, match="cell dawm has no redundant robot with one hand"):
         run("dawm", modes=["coupled"])
     assert robot_for_the_task("lab") == "gr"
-    refused = CliRunner().invoke(app, ["peg-and-valve", "--seeds", "0"])
+    refused = CliRunner().invoke(app, ["experiment", "peg-and-valve", "--seeds", "0"])
     assert refused.exit_code == 2
     assert "--seeds" in refused.output
 
@@ -208,7 +208,7 @@ def test_the_page_says_what_was_not_done_and_that_there_were_few_runs(tmp_path) 
 @pytest.mark.nightly
 @pytest.mark.timeout(600)
 def test_the_command_does_the_task_in_every_mode() -> None:
-    done = CliRunner().invoke(app, ["peg-and-valve", "--seeds", "1", "--json"])
+    done = CliRunner().invoke(app, ["experiment", "peg-and-valve", "--seeds", "1", "--json"])
     assert done.exit_code == 0, done.output
     told = json.loads(done.stdout)
     joint, decoupled, self_motion, advisor, coupled = (

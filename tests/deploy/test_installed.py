@@ -51,7 +51,7 @@ def test_the_command_of_a_bare_install_says_what_to_install(bare: Installed, wor
 @pytest.mark.nightly
 def test_a_complete_install_lacks_nothing_and_checks_a_cell(complete: Installed) -> None:
     assert missing(complete) == set()
-    done = complete.run("deltaq", "check", "lab")
+    done = complete.run("deltaq", "check", "--cell", "lab")
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("lab: good\n")
 

@@ -58,7 +58,7 @@ def test_the_shipped_file_is_what_the_command_writes(robot: str) -> None:
     _, texts = written("lab", robot, address="192.168.10.10")
     name = f"{robot}_ethernet.xml"
     assert texts[name] == (SHIPPED / name).read_text(encoding="utf-8"), (
-        f"write it anew: deltaq krc files lab --robot {robot} --address 192.168.10.10 --to FOLDER"
+        f"write it anew: deltaq krc files --cell lab --robot {robot} --address 192.168.10.10 --output FOLDER"
     )
 
 
@@ -294,7 +294,7 @@ def test_a_folder_that_is_none_is_told(tmp_path: Path) -> None:
 
 
 def test_the_command_says_what_to_copy_where(tmp_path: Path) -> None:
-    command = ["krc", "files", "lab", "--robot", "gr", "--to", str(tmp_path), "--json"]
+    command = ["krc", "files", "--cell", "lab", "--robot", "gr", "--output", str(tmp_path), "--json"]
     result = CliRunner().invoke(app, command)
     told = json.loads(result.output)
     assert {Path(row["file"]).name: row["copy_to"] for row in told["files"]} == {
@@ -310,7 +310,7 @@ def test_the_command_says_what_to_copy_where(tmp_path: Path) -> None:
 @pytest.mark.parametrize("bad", [["--start", "there"], ["--digital", "gripper"], ["--robot", "xr"]])
 def test_wrong_usage_writes_nothing(tmp_path: Path, bad: list[str]) -> None:
     result = CliRunner().invoke(
-        app, ["krc", "files", "lab", "--robot", "gr", "--to", str(tmp_path / "new"), *bad]
+        app, ["krc", "files", "--cell", "lab", "--robot", "gr", "--output", str(tmp_path / "new"), *bad]
     )
     assert isinstance(result.exception, DeltaqError)
     assert not (tmp_path / "new").exists()

@@ -47,7 +47,7 @@ print(env.step(np.zeros(6))[4]["verdict"]["outcome"])
 
 COMMAND = """
 from deltaq_deploy.command import main
-sys.argv[1:] = ["check", "lab"]
+sys.argv[1:] = ["check", "--cell", "lab"]
 main()
 """
 

@@ -4,20 +4,22 @@ import re
 import shlex
 import subprocess
 import sys
+from collections.abc import Iterator
 from importlib.metadata import distributions
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
 from packaging.specifiers import SpecifierSet
 from typer.testing import CliRunner
 
-from deltaq_deploy.command.app import app
+from deltaq_deploy.command.app import RENAMED, app
 from reference_pages import FOLDER, PAGES, page
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
-COMMANDS = typer.main.get_command(app).commands  # type: ignore[attr-defined] # it is a group
+COMMAND: Any = typer.main.get_command(app)
 
 
 @pytest.mark.long
@@ -63,10 +65,46 @@ def test_every_deltaq_command_in_the_documents_is_understood(document: Path) -> 
         words = shlex.split(line.removesuffix(" &").partition(" || ")[0], comments=True)
         if not words or words[0] != "deltaq":
             continue
-        command = COMMANDS[words[1]]
-        # parses the options, and runs nothing
-        context = command.make_context(words[1], list(words[2:]))
+        understand(words)
+
+
+def understand(words: list[str]) -> None:
+    """Parse a command as it is typed, with the options of its group and its own, and run nothing."""
+    command, (name, *rest) = COMMAND, words
+    while True:
+        context = command.make_context(name, rest)
+        rest = [*getattr(context, "_protected_args", ()), *context.args]
         context.close()
+        if not rest or not hasattr(command, "commands"):
+            return
+        name, command, rest = command.resolve_command(context, rest)
+
+
+def every_help(command: Any, name: str) -> Iterator[tuple[str, Any]]:
+    """Every verb and group of verbs by its name."""
+    yield name, command
+    for own_name, child in getattr(command, "commands", {}).items():
+        yield from every_help(child, f"{name} {own_name}")
+
+
+@pytest.mark.parametrize(
+    ("name", "command"), [*every_help(COMMAND, "deltaq")], ids=lambda one: one if isinstance(one, str) else ""
+)
+def test_a_help_ends_with_two_commands_that_are_understood(name: str, command: Any) -> None:
+    head, *examples = command.epilog.split("\n\n")
+    assert (head, len(examples)) == ("Examples:", 2)
+    for example in examples:
+        typed = example.removeprefix("[bold]").removesuffix("[/bold]")
+        assert hasattr(command, "commands") or typed.startswith(name)
+        understand(shlex.split(typed))
+
+
+def test_there_are_at_most_27_verbs_and_the_former_ones_name_the_present() -> None:
+    assert len(COMMAND.commands) <= 27
+    for former, present in RENAMED.items():
+        told = CliRunner().invoke(app, [former, "--json"])
+        assert (told.exit_code, told.stderr) == (2, f"deltaq: `deltaq {former}` is now `deltaq {present}`\n")
+        assert present.split()[0] in COMMAND.commands
 
 
 @pytest.mark.long
@@ -76,14 +114,6 @@ def test_the_citation_file_follows_its_format() -> None:
         [*command, str(ROOT / "CITATION.cff")], capture_output=True, text=True, check=False
     )
     assert checked.returncode == 0, checked.stdout
-
-
-@pytest.mark.nightly
-def test_help_is_there_for_every_verb() -> None:
-    for name in COMMANDS:
-        result = CliRunner().invoke(app, [name, "--help"])
-        assert result.exit_code == 0
-        assert "Usage" in result.output
 
 
 @pytest.mark.skipif(sys.version_info >= (3, 12), reason="a newer Python has packages of its own")

@@ -1,4 +1,4 @@
-"""`deltaq report`: a recording as one page that says what happened, and that carries nothing but itself."""
+"""`deltaq recording report`: a recording as one page that says what happened, and that carries nothing but itself."""
 
 from __future__ import annotations
 
@@ -198,7 +198,7 @@ def test_half_a_report_is_not_left_behind_by_a_full_disk(tmp_path: Path) -> None
 def test_wrong_use_is_exit_status_2_and_one_clear_line(
     recorded: Path, arguments: list[str], told: str
 ) -> None:
-    done = deltaq("report", *arguments, folder=recorded.parent)
+    done = deltaq("recording", "report", *arguments, folder=recorded.parent)
     assert (done.returncode, done.stdout) == (2, "")
     assert told in done.stderr
     assert done.stderr.count("\n") == 1
@@ -297,7 +297,7 @@ def test_a_long_curve_keeps_its_extremes() -> None:
 @pytest.mark.long
 def test_the_verb_writes_the_page_beside_the_recording_and_prints_figures(recorded: Path) -> None:
     def run(*arguments: str) -> str:
-        return deltaq("report", str(recorded), *arguments).stdout
+        return deltaq("recording", "report", str(recorded), *arguments).stdout
 
     assert json.loads(run("--json"))["page"] is None
     assert not recorded.with_suffix(".html").exists()

@@ -70,7 +70,9 @@ def test_two_seconds_without_a_link_cost_the_leases_and_nothing_else(tmp_path: P
         with two_sites(made, tmp_path) as running:
             link.impair(ACROSS)
             recorder = running.run(
-                "recorder", made.office, (*DELTAQ, "record", str(record), "--cell", str(running.file))
+                "recorder",
+                made.office,
+                (*DELTAQ, "recording", "record", "--output", str(record), "--cell", str(running.file)),
             )
             running.get_ready()
             leader, follower = follow(running)

@@ -32,7 +32,7 @@ def test_a_moving_cell_is_recorded_to_the_last_bit_and_outlives_a_recorder_whose
     stack, cell = moving_stack, str(moving_stack.file)
     file, filling = tmp_path / "run.mcap", tmp_path / "filling.mcap"
     commands = (
-        [PROGRAM, "record", str(file), "--cell", cell, "--json"],
+        [PROGRAM, "recording", "record", "--output", str(file), "--cell", cell, "--json"],
         [sys.executable, *recorder(cell, str(filling)).arguments],
     )
     recorders = [

@@ -147,6 +147,6 @@ async def test_three_robot_servers_move_under_one_gate_and_no_client_needs_their
         drive = ("drive", "--robot", "arm_2", "--cell", str(file), "--script", str(script), "--json")
         driven = json.loads(deltaq(*drive).stdout)
         assert driven["gate"]["admitted"] > 0
-    replayed = json.loads(deltaq("replay", str(tmp_path / "run.mcap"), "--json").stdout)
+    replayed = json.loads(deltaq("recording", "replay", str(tmp_path / "run.mcap"), "--json").stdout)
     assert replayed["good"]
     assert replayed["verdicts"] > 10

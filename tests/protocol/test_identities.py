@@ -138,7 +138,8 @@ def test_the_end_is_told_thirty_days_before_and_is_an_error_after_it(folder):
     assert "is valid for 29 more days, until" in (sim.warning(end - 29.5 * DAY) or "")
     assert "is valid for 0 more days" in (sim.warning(end - DAY / 2) or "")
     with pytest.raises(
-        IdentityError, match=r"certificate\.pem was valid until .*`deltaq keys CELL --to NEW_FOLDER`"
+        IdentityError,
+        match=r"certificate\.pem was valid until .*`deltaq keys --cell CELL --output NEW_FOLDER`",
     ):
         Identity.read(folder / "sim", end + DAY)
 

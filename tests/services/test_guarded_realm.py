@@ -111,7 +111,7 @@ def test_cells_at_other_addresses_have_other_folders():
 @pytest.mark.parametrize(
     ("sim", "said"),
     [
-        ("tcp/192.168.7.1:7450", r"^sim \(tcp/192.*plain tcp/ lets all of them in.*`deltaq keys CELL"),
+        ("tcp/192.168.7.1:7450", r"^sim \(tcp/192.*plain tcp/ lets all of them in.*`deltaq keys --cell CELL"),
         ("tls/192.168.7.1:7450", r"^robots\.fr\.server \(local\) .*has to be"),
     ],
 )

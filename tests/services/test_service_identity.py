@@ -79,13 +79,16 @@ async def test_no_service_starts_when_its_certificate_is_out_of_date(model, tmp_
     folder = make(tmp_path / "old", model.description.cell, age=800 * DAY)
     monkeypatch.setenv(IDENTITY, str(folder))
     start = (await starts(model))[name]
-    with pytest.raises(IdentityError, match=r"was valid until .*`deltaq keys CELL --to NEW_FOLDER`"):
+    with pytest.raises(
+        IdentityError, match=r"was valid until .*`deltaq keys --cell CELL --output NEW_FOLDER`"
+    ):
         start()
 
 
 def test_a_folder_of_another_cell_is_told(cell, tmp_path):
     with pytest.raises(
-        IdentityError, match=f"is an identity of cell other, and this is cell {cell.cell}; `deltaq keys CELL"
+        IdentityError,
+        match=f"is an identity of cell other, and this is cell {cell.cell}; `deltaq keys --cell CELL",
     ):
         tls_settings(cell, make(tmp_path / "other", "other"), "sim")
 

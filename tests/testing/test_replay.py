@@ -262,16 +262,16 @@ def test_a_truncated_recording_is_replayed_as_far_as_it_goes(recorded: Path, tmp
 def test_the_command_tells_a_difference_by_cycle_and_field_with_exit_status_1(
     recorded: Path, replayed: Replay, tmp_path: Path
 ) -> None:
-    good = deltaq("replay", str(recorded), "--json")
+    good = deltaq("recording", "replay", str(recorded), "--json")
     assert good.returncode == 0, good.stderr
     assert json.loads(good.stdout)["verdicts_sha256"] == replayed.verdicts_sha256
     number, verdict = next((n, v) for n, v in verdicts(recorded) if v.outcome == "scaled")
     rewrite(recorded, tmp_path / "changed.mcap", changed_verdict(number, seq=99))
-    bad = deltaq("replay", str(tmp_path / "changed.mcap"))
+    bad = deltaq("recording", "replay", str(tmp_path / "changed.mcap"))
     assert bad.returncode == 1
     told = f"differs: message {number}: {verdict.robot} cycle {verdict.cycle} gate-verdict seq: recorded 99, replayed"
     assert told in bad.stdout
-    none = deltaq("replay", str(tmp_path / "missing.mcap"))
+    none = deltaq("recording", "replay", str(tmp_path / "missing.mcap"))
     assert none.returncode == 2
     assert "missing.mcap" in none.stderr
 
@@ -321,7 +321,7 @@ def test_the_figure_of_a_recording_shows_both_robots_and_where_the_gate_stepped_
     assert 0 <= panels[0].lines[0].time_s[-1] - CYCLES * 0.012 < 0.5
     bound = sum(verdict.outcome != "admitted" for _, verdict in verdicts(recorded))
     assert sum(len(marks.time_s) for marks in panels[0].marks) == bound
-    done = deltaq("plot", str(recorded), "--figure", str(tmp_path / "figure.png"))
+    done = deltaq("recording", "plot", str(recorded), "--output", str(tmp_path / "figure.png"))
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
 

@@ -245,7 +245,7 @@ def test_a_search_finds_the_fault_writes_it_and_the_file_fails_again(folder):
         changed(folder, ("expect:", search), ("duration_s: 1.0", "duration_s: 0.7")),
         folder / "found.yaml",
     )
-    result = invoke("search", file, "--examples", 5, "--to", found)
+    result = invoke("search", file, "--examples", 5, "--output", found)
     assert result.exit_code == 1
     (entry,) = load_scenario(found).faults
     assert entry.fault == "controller-hli-cut"

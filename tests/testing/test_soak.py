@@ -22,7 +22,18 @@ COMMAND = "from deltaq_deploy.command import main; main()"
 @pytest.mark.nightly
 @pytest.mark.live
 def test_ctrl_c_ends_a_soak_with_the_report_so_far_and_leaves_nothing_running(tmp_path: Path) -> None:
-    words = ["soak", "--hours", "1", "--cell", "lab", "--seed", "3", "--to", str(tmp_path / "made")]
+    words = [
+        "bench",
+        "soak",
+        "--hours",
+        "1",
+        "--cell",
+        "lab",
+        "--seed",
+        "3",
+        "--output",
+        str(tmp_path / "made"),
+    ]
     with subprocess.Popen(
         [sys.executable, "-c", COMMAND, *words],
         stdout=subprocess.PIPE,
@@ -88,6 +99,8 @@ def test_faults_of_the_processes_and_of_the_krc_may_befall_and_those_that_need_m
 
 def test_a_place_where_no_report_can_be_is_refused_before_the_soak(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    result = CliRunner().invoke(app, ["soak", "--hours", "1", "--to", str(tmp_path / "file" / "below")])
+    result = CliRunner().invoke(
+        app, ["bench", "soak", "--hours", "1", "--output", str(tmp_path / "file" / "below")]
+    )
     assert isinstance(result.exception, DeltaqError)
     assert "is no folder for reports: Not a directory" in str(result.exception)

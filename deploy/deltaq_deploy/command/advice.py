@@ -21,12 +21,12 @@ from deltaq_controllers.advisor.exact import ExactClearance
 from deltaq_controllers.advisor.problem import AdvisorError, AdvisorProblem
 from deltaq_controllers.advisor.session import Answered
 from deltaq_controllers.inverse.tracking import ConstraintTracker, first_redundant
-from deltaq_controllers.live import ControlStatistics
+from deltaq_controllers.live import ControlStatistics, cell_model
 from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.script import GoToOption
 from deltaq_controllers.teleoperation import teleoperate
-from deltaq_deploy.launch.cell_connection import connect, known_robot
+from deltaq_deploy.launch.cell_connection import Where, connect, describe, known_robot
 from deltaq_protocol import connect as connect_to
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.blocking import BlockingCell
@@ -40,6 +40,7 @@ class AdviceRequest:
     """A question to the advisor; see `deltaq advise`."""
 
     cell: str
+    url: str | None = None
     robot: str = ""
     hands: Mapping[str, tuple[float, ...]] | None = None
     options: int = 5
@@ -131,7 +132,7 @@ def advice(request: AdviceRequest, go_on: Callable[[Progress], bool] = lambda _:
         ServiceUnreachableError: the cell is not running, and `offline` was not given.
         RefusedError: the robot is leased to somebody else.
     """
-    cell = CellModel.load(request.cell)
+    cell = CellModel.load(request.cell) if request.url is None else _running_model(request.url)
     known_robot(cell.description, request.robot)
     robot, tracker = _robot(cell, request.robot)
     with ExitStack() as stack:
@@ -176,6 +177,14 @@ def advice(request: AdviceRequest, go_on: Callable[[Progress], bool] = lambda _:
             trade_off=request.trade_off,
             word=tracker.word,
         )
+
+
+def _running_model(url: str) -> CellModel:
+    """The model of the cell that runs at an address, from what its HLI says."""
+    where = Where.of("", url)
+    told = describe(where, "deltaq advise")
+    model = cell_model(told)
+    return CellModel.of(model.description.model_copy(update={"hli": where.hli}), model.robots, told.yaml)
 
 
 def _robot(cell: CellModel, name: str) -> tuple[str, ConstraintTracker]:

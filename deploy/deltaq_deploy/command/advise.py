@@ -12,6 +12,7 @@ from deltaq_deploy.command.options import (
     HandsMayLeaveOption,
     JsonOption,
     TradeOffOption,
+    UrlOption,
     two_criteria,
     weights_of,
 )
@@ -26,6 +27,7 @@ NUMBERS_OF_A_POSE = 6
 
 def advise(
     cell: CellOption = "dawm",
+    url: UrlOption = None,
     robot: Annotated[str, typer.Option(help="Robot to advise; by default the first redundant one.")] = "",
     hand: Annotated[
         list[str] | None,
@@ -64,8 +66,11 @@ def advise(
 
     if offline and execute:
         raise typer.BadParameter("--execute needs a running cell; leave out --offline")
+    if offline and url is not None:
+        raise typer.BadParameter("--url is that of a running cell; leave out --offline")
     request = AdviceRequest(
         cell=cell,
+        url=url,
         robot=robot,
         hands=dict(_pose(text) for text in hand or []),
         options=options,

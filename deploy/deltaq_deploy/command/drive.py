@@ -17,6 +17,7 @@ from deltaq_deploy.command.options import (
     JsonOption,
     RobotOption,
     TradeOffOption,
+    UrlOption,
     two_criteria,
     weights_of,
 )
@@ -54,6 +55,7 @@ def drive(
     robot: RobotOption,
     mode: Annotated[str, typer.Option(help=f"Mode to begin with: {', '.join(MODES)}.")] = "joint",
     cell: CellOption = "lab",
+    url: UrlOption = None,
     frame: Annotated[str, typer.Option(help="Frame in which the hands are moved: world or tool.")] = "world",
     criterion: CriterionOption = None,
     trade_off: TradeOffOption = "",
@@ -86,13 +88,12 @@ def drive(
     """Drive a robot by hand or by script; however the drive ends, the robot comes to rest and is released."""
     from contextlib import ExitStack
 
-    from deltaq_cell.load import load_cell
     from deltaq_deploy.command.console import print_json
     from deltaq_deploy.command.drive_display import show
-    from deltaq_deploy.launch.cell_connection import known_robot
+    from deltaq_deploy.launch.cell_connection import described, known_robot
 
     _check(mode, frame, device, is_scripted=script is not None)
-    description = load_cell(cell)
+    description = described(cell, url, "deltaq drive")
     known_robot(description, robot)
     if master is not None:
         if script is not None:

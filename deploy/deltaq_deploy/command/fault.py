@@ -62,7 +62,7 @@ def search(
     file: Annotated[Path, typer.Argument(help="A scenario file; its `search` says which faults are drawn.")],
     examples: Annotated[int, typer.Option(min=1, help="Schedules of faults to draw before giving up.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the schedules.")] = 0,
-    to: Annotated[
+    output: Annotated[
         Path | None, typer.Option(help="Scenario file to write with the shortest schedule that fails.")
     ] = None,
     json: JsonOption = False,
@@ -84,8 +84,8 @@ def search(
         if not json:
             typer.echo(f"{file.name}: no schedule failed; {examples} were drawn with seed {seed}")
         return
-    if to is not None:
-        write_report(to, dumped(outcome.scenario))
+    if output is not None:
+        write_report(output, dumped(outcome.scenario))
     if not json:
         print_table(_title(outcome), ("expected", "met", "found"), _rows(outcome))
         typer.echo("The shortest schedule that was found to fail:")
@@ -210,12 +210,14 @@ def impair(
         asyncio.run(while_parent_lives(relaying))
 
 
-# `deltaq soak`.
+# `deltaq bench soak`.
 
 
 def soak(
     hours: Annotated[float, typer.Option(min=0.001, max=80.0, help="Duration of the soak.")],
-    to: Annotated[Path, typer.Option(help="Folder for soak.json and soak.png; made if it does not exist.")],
+    output: Annotated[
+        Path, typer.Option(help="Folder for soak.json and soak.png; made if it does not exist.")
+    ],
     cell: CellOption = "lab",
     robot: Annotated[
         str | None, typer.Option(help="The robot that moves; by default the cell's first.")
@@ -235,35 +237,23 @@ def soak(
         if not json:
             typer.echo(f"{one.time_s:8.1f} s  {one.fault}: {found}")
 
-    must_be_folder(to)
+    must_be_folder(output)
     with tempfile.TemporaryDirectory() as folder:
         report = run_soak(Path(folder), cell, robot, hours * 3600.0, seed, tell)
-    write_report(to / "soak.json", report.model_dump_json(indent=1) + "\n")
-    figure_of(report).savefig(to / "soak.png", dpi=120)
+    write_report(output / "soak.json", report.model_dump_json(indent=1) + "\n")
+    figure_of(report).savefig(output / "soak.png", dpi=120)
     good = sum(one.good for one in report.rounds)
     if json:
         counts = {"rounds": len(report.rounds), "good_rounds": good}
         print_json({"good": report.good, **counts, "length_s": report.length_s})
     else:
         typer.echo(
-            f"{good} of {len(report.rounds)} faults were good in {report.length_s:.0f} s; {to / 'soak.json'}"
+            f"{good} of {len(report.rounds)} faults were good in {report.length_s:.0f} s; {output / 'soak.json'}"
         )
     if not report.good:
         raise typer.Exit(BAD)
 
 
-fault = typer.Typer(
-    help="Inject faults into a moving robot, and report which limits were kept.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="rich",
-)
-fault.command()(impair)
-fault.command()(run)
-fault.command()(search)
-
-
-@fault.command("list")
 def list_faults(json: JsonOption = False) -> None:
     """List all faults."""
     from deltaq_deploy.command.console import print_json, print_table
@@ -286,7 +276,6 @@ def list_faults(json: JsonOption = False) -> None:
     print_table("faults", columns, ((row.name, row.what, *_ways(row)) for row in CATALOGUE))
 
 
-@fault.command()
 def table(
     names: Annotated[list[str] | None, typer.Argument(help="Faults to inject; all if none is given.")] = None,
     cell: CellOption = "lab",
@@ -329,7 +318,6 @@ def table(
         raise typer.Exit(BAD)
 
 
-@fault.command()
 def inject(
     name: Annotated[str, typer.Argument(help="A fault that `deltaq fault list` shows as injectable.")],
     robot: RobotOption,

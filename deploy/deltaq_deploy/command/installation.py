@@ -1,4 +1,4 @@
-"""Verbs about files and the machine: check, schema, key and doctor."""
+"""Verbs about files and the machine: check, schema, keys and doctor."""
 
 from __future__ import annotations
 
@@ -23,8 +23,10 @@ KEEP = (
 
 
 def keys(
-    cell: Annotated[str, typer.Argument(help="Name of a shipped cell or path of a YAML file.")],
-    to: Annotated[Path, typer.Option("--to", metavar="FOLDER", help="Folder for the identities.")],
+    output: Annotated[
+        Path, typer.Option(metavar="PATH", help="Folder for the identities; with --secret the file.")
+    ],
+    cell: CellOption = "lab",
     operator: Annotated[
         list[str] | None,
         typer.Option("--operator", metavar="NAME", help="Make an identity for this operator; repeatable."),
@@ -40,18 +42,30 @@ def keys(
         typer.Option(
             metavar="FOLDER",
             help="Folder of the authority's key.",
-            show_default="authority in the folder of --to",
+            show_default="authority in the folder of --output",
         ),
     ] = None,
     days: Annotated[
         int, typer.Option(min=1, max=3650, help="Days for which the identities are valid.")
     ] = 730,
+    secret: Annotated[
+        bool,
+        typer.Option(
+            "--secret", help="Make a random secret instead, such as a token, that only its owner may read."
+        ),
+    ] = False,
+    keep: Annotated[
+        bool, typer.Option("--keep", help="With --secret: keep one that exists already.")
+    ] = False,
     json: JsonOption = False,
 ) -> None:
     """Make an authority for a cell, and an identity for each of its services, operators and controllers.
 
     Each identity is a folder for the machine that needs it. The command makes what is missing, and writes nothing over.
     """
+    if secret:
+        _make_secret(output, keep)
+        return
     from datetime import timedelta
 
     from deltaq_cell.load import load_cell
@@ -66,7 +80,7 @@ def keys(
     people += [name_of(IdentityKind.CONTROLLER, name) for name in controller or ()]
     of_cell = [name_of(IdentityKind.SERVICE, name) for name in services(tuple(description.robots))]
     made = make_identities(
-        description.cell, to, of_cell, dict.fromkeys(people), now_utc(), authority, timedelta(days=days)
+        description.cell, output, of_cell, dict.fromkeys(people), now_utc(), authority, timedelta(days=days)
     )
     if json:
         print_json(
@@ -74,14 +88,14 @@ def keys(
                 "cell": description.cell,
                 "authority": str(made.authority),
                 "authority_is_new": made.is_new,
-                "made": {name: str(to / name) for name in made.made},
+                "made": {name: str(output / name) for name in made.made},
                 "kept": list(made.kept),
                 "valid_until": f"{made.valid_until:%Y-%m-%dT%H:%M:%SZ}",
             }
         )
         return
     for name in made.made:
-        typer.echo(f"{to / name}: {name} of cell {description.cell}")
+        typer.echo(f"{output / name}: {name} of cell {description.cell}")
     for name in made.kept:
         typer.echo(f"{name}: made before, and not again")
     if made.made:
@@ -90,15 +104,17 @@ def keys(
 
 
 def check(
-    cell: Annotated[str, typer.Argument(help="Name of a shipped cell or path of a YAML file.")],
+    cell: CellOption = "lab",
+    verbose: Annotated[
+        bool,
+        typer.Option(
+            "--verbose", help="Also list the bodies that are never checked against each other, and why."
+        ),
+    ] = False,
     json: JsonOption = False,
 ) -> None:
-    """Check the description of a cell; name file, line, field, value and bound of every error.
-
-    It also lists which bodies of a robot are never checked against which, and why.
-    """
+    """Check the description of a cell; name file, line, field, value and bound of every error."""
     from deltaq_cell.check import check_cell
-    from deltaq_cell.never_checked import Why
     from deltaq_deploy.command.console import print_json
 
     report = _with_identity(check_cell(cell))
@@ -109,19 +125,24 @@ def check(
             typer.echo(f"{problem.severity}: {problem}")
         if not report.problems:
             typer.echo(f"{cell}: good")
-        for robot, pairs in report.never_checked.items():
-            for why in dict.fromkeys(pairs.values()):
-                if why is Why.ONE_LINK:  # dozens where a gripper is modelled in parts; --json names them
-                    typer.echo(
-                        f"{robot}: never checked, since {why}: {list(pairs.values()).count(why)} pairs"
-                    )
-                    continue
-                named = [
-                    " - ".join(name.removeprefix(f"{robot}/") for name in p) for p in pairs if pairs[p] is why
-                ]
-                typer.echo(f"{robot}: never checked, since {why}: {', '.join(named)}")
+        if verbose:
+            _show_never_checked(report)
     if not report.ok:
         raise typer.Exit(BAD)
+
+
+def _show_never_checked(report: CheckReport) -> None:
+    from deltaq_cell.never_checked import Why
+
+    for robot, pairs in report.never_checked.items():
+        for why in dict.fromkeys(pairs.values()):
+            if why is Why.ONE_LINK:  # dozens where a gripper is modelled in parts; --json names them
+                typer.echo(f"{robot}: never checked, since {why}: {list(pairs.values()).count(why)} pairs")
+                continue
+            named = [
+                " - ".join(name.removeprefix(f"{robot}/") for name in p) for p in pairs if pairs[p] is why
+            ]
+            typer.echo(f"{robot}: never checked, since {why}: {', '.join(named)}")
 
 
 def _with_identity(report: CheckReport) -> CheckReport:
@@ -181,11 +202,7 @@ def _lines() -> dict[str, Any]:
     return {"only over TCP": [message.model_json_schema() for message in types]}
 
 
-def key(
-    file: Annotated[Path, typer.Argument(help="File to write.")],
-    keep: Annotated[bool, typer.Option("--keep", help="Keep a key that exists already.")] = False,
-) -> None:
-    """Make a random secret, such as a token, in a file that only its owner may read."""
+def _make_secret(file: Path, keep: bool) -> None:
     from deltaq_deploy.launch.given_tokens import write_new_secret
 
     write_new_secret(file, keep=keep)

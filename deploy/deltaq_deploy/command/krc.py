@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deltaq_deploy.command.krc_lag import LAG_EXAMPLES, lag
-from deltaq_deploy.command.options import JsonOption, RobotOption
+from deltaq_deploy.command.options import CellOption, JsonOption, RobotOption
 from deltaq_deploy.launch.exit_status import BAD, UNREACHABLE
 
 if TYPE_CHECKING:
@@ -18,18 +17,10 @@ if TYPE_CHECKING:
     from deltaq_protocol.rsi import EthernetConfig
 
 
-krc = typer.Typer(
-    help="Bring up a real KRC: its files, its telegrams, the lag of its drives.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="rich",
-)
-
-
 def write_krc_files(
-    cell: Annotated[str, typer.Argument(help="Name of a shipped cell or path of a YAML file.")],
     robot: RobotOption,
-    to: Annotated[Path, typer.Option(metavar="FOLDER", help="Write the files into this folder.")],
+    output: Annotated[Path, typer.Option(metavar="FOLDER", help="Write the files into this folder.")],
+    cell: CellOption = "lab",
     start: Annotated[
         str, typer.Option(help="Where RSI starts: `home`, to which the program moves first, or `here`.")
     ] = "home",
@@ -68,8 +59,8 @@ def write_krc_files(
         digital=_numbers(digital or []),
     )
     files = files_of(plan)
-    write_files(files, to, force=force)
-    _tell(plan, files, to, json)
+    write_files(files, output, force=force)
+    _tell(plan, files, output, json)
 
 
 def _start(text: str) -> Start:
@@ -137,7 +128,7 @@ def sniff(
     address: AddressOption = None,
     port: PortOption = None,
     cell: Annotated[str, typer.Option(help="Compare with this cell's file; needs --robot.")] = "",
-    robot: Annotated[str, typer.Option(help="The robot of the cell.")] = "",
+    robot: Annotated[str, typer.Option(help="The robot of the cell; needs --cell.")] = "",
     duration_s: DurationOption = 10.0,
     json: JsonOption = False,
 ) -> None:
@@ -159,8 +150,8 @@ def sniff(
 
 
 def echo(
-    cell: Annotated[str, typer.Option(help="The cell; its file gives the format of the answer.")],
     robot: RobotOption,
+    cell: CellOption = "lab",
     address: AddressOption = None,
     port: PortOption = None,
     duration_s: DurationOption = 10.0,
@@ -269,9 +260,3 @@ def _shown(spread: Spread | None) -> str | None:
         return None
     median, p99, longest = (value * 1e3 for value in (spread.median_s, spread.p99_s, spread.longest_s))
     return f"median {median:.2f}, p99 {p99:.2f}, longest {longest:.2f}"
-
-
-krc.command()(sniff)
-krc.command()(echo)
-krc.command(epilog=LAG_EXAMPLES)(lag)
-krc.command("files")(write_krc_files)

@@ -17,11 +17,6 @@ if TYPE_CHECKING:
     from deltaq_deploy.rsi.lag_sweep import DrivenSweep, MeasuredAxis
     from deltaq_protocol.blocking import BlockingCell, BlockingRobot
 
-LAG_EXAMPLES = (
-    "Examples: [bold]deltaq krc lag --robot fr[/bold]; "
-    "[bold]deltaq krc lag --cell my-cell.yaml --robot fr --output fr-lag.png --json[/bold]"
-)
-
 
 class LagError(DeltaqError):
     """The lag of a robot's drives could not be measured."""

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from deltaq_controllers.camera import FOLLOWS
-from deltaq_deploy.command.options import CellOption, JsonOption, RobotOption, TokenOption, UrlOption
+from deltaq_deploy.command.options import (
+    CellOption,
+    ControllerOption,
+    JsonOption,
+    RobotOption,
+    TokenOption,
+    UrlOption,
+)
 
 if TYPE_CHECKING:
     from deltaq_protocol.messages import LeaseStatus, ViewReply, ViewTarget, ViewWish
@@ -36,27 +43,38 @@ def stop(cell: CellOption = "lab", url: UrlOption = None, json: JsonOption = Fal
     if json:
         print_json(done.model_dump(mode="json"))
     else:
-        typer.echo("stopped: every robot brakes and is held; `deltaq reset --robot NAME` ends that")
+        typer.echo("stopped: every robot brakes and is held; `deltaq reset` ends that")
 
 
 def reset(
-    robot: RobotOption,
+    robot: Annotated[str, typer.Option("--robot", help="Only this robot of the cell.")] = "",
     cell: CellOption = "lab",
     url: UrlOption = None,
     token: TokenOption = None,
     json: JsonOption = False,
 ) -> None:
-    """End the hold of a robot; refused while its cause persists."""
+    """End the hold of every robot of the cell, or of one; refused while its cause persists."""
     from deltaq_deploy.command.console import print_json
     from deltaq_deploy.launch.cell_connection import Where, connect, known_robot
+    from deltaq_protocol.errors import RefusedError
 
+    refused: list[RefusedError] = []
     with connect(Where.of(cell, url, robot), "deltaq reset", token) as running:
         known_robot(running.description, robot)
-        done = running.reset(robot)
-    if json:
-        print_json(done.model_dump(mode="json"))
-    else:
-        typer.echo(f"reset: {robot} is ready")
+        done = {}
+        for name in [robot] if robot else list(running.robots):
+            try:
+                done[name] = running.reset(name).model_dump(mode="json")
+            except RefusedError as error:
+                refused.append(error)
+    if json and not refused:
+        print_json(done[robot] if robot else {"robots": done})
+    elif done and not json:
+        typer.echo(f"reset: {', '.join(done)} {'is' if len(done) == 1 else 'are'} ready")
+    if refused:
+        for other in refused[1:]:
+            typer.echo(f"deltaq: {other}", err=True)
+        raise refused[0]
 
 
 def lease(
@@ -153,15 +171,15 @@ def contact(
     name: Annotated[str | None, typer.Argument(help="A contact of the cell; none: list them.")] = None,
     forbid: Annotated[bool, typer.Option("--forbid", help="Keep its bodies apart again.")] = False,
     cell: CellOption = "lab",
+    url: UrlOption = None,
     token: TokenOption = None,
     json: JsonOption = False,
 ) -> None:
     """Allow a contact of the cell, at its own low speed, or list the contacts."""
-    from deltaq_cell.load import load_cell
     from deltaq_deploy.command.console import print_json
-    from deltaq_deploy.launch.cell_connection import connect
+    from deltaq_deploy.launch.cell_connection import connect, described
 
-    description = load_cell(cell)
+    description = described(cell, url, "deltaq contact")
     with connect(description, "deltaq contact", token) as running:
         done = running.allow_contact(name, not forbid) if name is not None else None
         allowed = running.status().contacts
@@ -185,6 +203,7 @@ def dry_run(
         typer.Option(metavar="DQ,DQ,...", help="Increment of one cycle, a number for each joint [rad or m]."),
     ],
     cell: CellOption = "lab",
+    url: UrlOption = None,
     json: JsonOption = False,
 ) -> None:
     """Ask for the gate's verdict on an increment; nothing moves. Exit status 1 unless all of it would be admitted."""
@@ -192,7 +211,7 @@ def dry_run(
 
     from deltaq_cell.load import load_cell
     from deltaq_deploy.command.console import print_json
-    from deltaq_deploy.launch.cell_connection import connect, known_robot
+    from deltaq_deploy.launch.cell_connection import Where, connect, known_robot
     from deltaq_protocol.messages import Outcome
 
     try:
@@ -201,9 +220,9 @@ def dry_run(
         increment = []
     if not increment or not all(map(math.isfinite, increment)):
         raise typer.BadParameter(f"finite numbers with commas between them, got {dq!r}", param_hint="--dq")
-    description = load_cell(cell)
-    known_robot(description, robot)
-    with connect(description, "deltaq dry-run") as running:
+    where = Where.of(cell, url, robot)
+    with connect(where if url is not None else load_cell(cell), "deltaq dry-run") as running:
+        known_robot(running.description, robot)
         verdict = running.dry_run(robot, increment)
     if json:
         print_json(verdict.model_dump(mode="json"))
@@ -245,19 +264,14 @@ def follow(
     distance_m: Annotated[float, _DISTANCE] = 1.25,
     aim_offset_m: Annotated[_Point | None, _OFFSET] = None,
     focus_m: Annotated[_Point | None, _FOCUS] = None,
-    controller: Annotated[
-        str,
-        typer.Option(
-            help="paper, predictive, qp, clear-view, escape, or your own as package.module:function."
-        ),
-    ] = FOLLOWS,
+    controller: ControllerOption = FOLLOWS,
     duration_s: Annotated[
         float | None, typer.Option(min=0.1, help="Duration; until Ctrl-C if not given.")
     ] = None,
     cell: CellOption = "lab",
     url: UrlOption = None,
 ) -> None:
-    """Follow a robot of a running cell with another robot's camera; `deltaq view` changes the view meanwhile."""
+    """Follow a robot of a running cell with another robot's camera; `deltaq camera view` changes the view meanwhile."""
     from deltaq_cell.load import parse_cell
     from deltaq_cell.roles import camera_roles
     from deltaq_deploy.command.console import shown_compiled_ahead
@@ -265,7 +279,7 @@ def follow(
     from deltaq_deploy.launch.prepare import Needed
 
     where = Where.of(cell, url)
-    with connect(where, "deltaq follow") as running:
+    with connect(where, "deltaq camera follow") as running:
         roles = camera_roles(parse_cell(running.description.yaml, running.description.cell), robot, leader)
     words = ["--url", where.hli, "--robot", roles.follower, "--leader", roles.leader]
     words += ["--controller", controller, "--distance-m", f"{distance_m!r}"]
@@ -290,18 +304,40 @@ def view(
     token: TokenOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Show what a robot's camera looks at, or change it while a controller follows."""
+    """Change what a robot's camera looks at, while a controller follows."""
+    targets = [_target(text) for text in target] if target else None
+    if all(wish is None for wish in (distance_m, leader, aim_offset_m, focus_m, targets)):
+        raise typer.BadParameter(
+            "name what changes, e.g. --distance-m 0.9; `deltaq camera show` shows the view"
+        )
+    _tell_view(robot, cell, url, token, json, distance_m, leader, aim_offset_m, focus_m, targets)
+
+
+def show_view(
+    robot: Annotated[str | None, _CAMERA] = None,
+    cell: CellOption = "lab",
+    url: UrlOption = None,
+    token: TokenOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Show what a robot's camera looks at, and how well it sees it."""
+    _tell_view(robot, cell, url, token, json)
+
+
+def _tell_view(
+    robot: str | None, cell: str, url: str | None, token: str | None, json: bool, *wishes: Any
+) -> None:
+    """Ask for a view if one is wished for, and print the present one."""
     from deltaq_cell.load import parse_cell
     from deltaq_cell.roles import first_camera
     from deltaq_deploy.command.console import print_json
     from deltaq_deploy.launch.cell_connection import Where, connect, known_robot
 
-    targets = [_target(text) for text in target] if target else None
-    with connect(Where.of(cell, url, robot or ""), "deltaq view", token) as running:
+    with connect(Where.of(cell, url, robot or ""), "deltaq camera", token) as running:
         described = running.description
         known_robot(described, robot or "")
         robot = robot or first_camera(parse_cell(described.yaml, described.cell))
-        told = running.view(robot, distance_m, leader, aim_offset_m, focus_m, targets)
+        told = running.view(robot, *wishes)
     if json:
         print_json(told.model_dump(mode="json"))
         return

@@ -20,6 +20,13 @@ UrlOption = Annotated[
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 RobotOption = Annotated[str, typer.Option("--robot", help="Name of a robot of the cell.")]
+ControllerOption = Annotated[
+    str,
+    typer.Option(
+        help="Who moves the camera: qp, paper, predictive, clear-view, escape, a printed variant (printed, "
+        "printed-decay, …), or your own as package.module:function."
+    ),
+]
 CriterionOption = Annotated[
     list[str] | None,
     typer.Option(

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def record(
-    file: Annotated[Path, typer.Argument(help="MCAP file to write; it must not exist.")],
+    output: Annotated[Path, typer.Option(metavar="FILE", help="MCAP file to write; it must not exist.")],
     cell: CellOption = "lab",
     duration_s: Annotated[
         float | None, typer.Option(min=0.1, help="Duration of the recording; until Ctrl-C if not given.")
@@ -33,14 +33,14 @@ def record(
 
     signal.signal(signal.SIGTERM, end_on_interrupt)
     interrupted = contextlib.suppress(KeyboardInterrupt)  # that is how a recording ends
-    with Recorder(load_cell(cell), file) as recorder, progress_bar(f"recording to {file}"), interrupted:
+    with Recorder(load_cell(cell), output) as recorder, progress_bar(f"recording to {output}"), interrupted:
         recorder.run(duration_s)
     writer = recorder.writer
     summary = {
-        "file": str(file),
+        "file": str(output),
         "messages": writer.messages,
         "gate_messages": writer.gate_messages,
-        "bytes": file.stat().st_size,
+        "bytes": output.stat().st_size,
         "lost": recorder.lost,
         "invalid": recorder.invalid,
     }
@@ -125,7 +125,7 @@ def notices(result: Replay) -> list[str]:
 
 def plot(
     file: Annotated[Path, typer.Argument(help="MCAP file that deltaq recorded.")],
-    figure: Annotated[
+    output: Annotated[
         Path | None, typer.Option(help="Picture to write; beside the recording if not given.")
     ] = None,
 ) -> None:
@@ -133,7 +133,7 @@ def plot(
     from deltaq_deploy.command.console import progress_bar
     from deltaq_experiments.replay_plot import plot as draw
 
-    picture = figure or file.with_suffix(".png")
+    picture = output or file.with_suffix(".png")
     with progress_bar(f"drawing {file}"):
         notices = draw(file, picture)
     for line in notices:

@@ -28,13 +28,7 @@ def run(
     cell: CellOption = "lab",
     url: UrlOption = None,
 ) -> None:
-    """Drive a robot with a controller of your own, until it returns None or Ctrl-C.
-
-    Examples:
-        deltaq run turn.py:Turn --robot fr
-
-        deltaq run turn.py:Turn --robot fr --url tcp/192.168.1.5:7447
-    """
+    """Drive a robot with a controller of your own, until it returns None or Ctrl-C."""
     import deltaq
     from deltaq_deploy.launch.cell_connection import Where
 

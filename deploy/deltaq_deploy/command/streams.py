@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deltaq_deploy.command.options import CellOption, JsonOption, UrlOption
-from deltaq_protocol import topics
 from deltaq_protocol.errors import DeltaqError
-from deltaq_protocol.topic import Kind, Party, Realm, Topic
 
 if TYPE_CHECKING:
     from deltaq_deploy.launch.cell_connection import Listener
@@ -28,10 +26,12 @@ def by_name(name: str) -> Topic:
     Raises:
         UnknownTopicError: naming those that there are.
     """
-    for topic in topics.TOPICS:
+    from deltaq_protocol.topics import TOPICS
+
+    for topic in TOPICS:
         if topic.name == name:
             return topic
-    names = [topic.name for topic in topics.TOPICS]
+    names = [topic.name for topic in TOPICS]
     near = difflib.get_close_matches(name, names, n=1)
     hint = f"did you mean {near[0]!r}? " if near else ""
     raise UnknownTopicError(f"no topic {name!r}; {hint}the topics are {', '.join(names)}")
@@ -39,9 +39,12 @@ def by_name(name: str) -> Topic:
 
 def open_streams() -> tuple[Topic, ...]:
     """What a client can watch: the streams of the open realm that the table lets clients read."""
+    from deltaq_protocol.topic import Kind, Party, Realm
+    from deltaq_protocol.topics import TOPICS
+
     return tuple(
         topic
-        for topic in topics.TOPICS
+        for topic in TOPICS
         if (topic.realm, topic.kind) == (Realm.OPEN, Kind.STREAM) and Party.CLIENT in topic.readers
     )
 
@@ -52,6 +55,8 @@ def open_stream(name: str) -> Topic:
     Raises:
         UnknownTopicError: if there is none, or it is a query, or belongs to the guarded realm.
     """
+    from deltaq_protocol.topic import Kind, Realm
+
     topic = by_name(name)
     if topic not in open_streams():
         why = (
@@ -82,7 +87,7 @@ def echo(
 
     row = open_stream(topic)
     where = Where.of(cell, url, robot)
-    known_robot(describe(where, "deltaq echo"), robot)
+    known_robot(describe(where, "deltaq topic echo"), robot)
     printed = 0
     channel: Any = zenoh.handlers.FifoChannel(1024)
     with listen(where) as listener, listener.subscribe(row, channel, robot) as samples:
@@ -111,7 +116,7 @@ def hz(
     from deltaq_services.rate_limit import lags
 
     where = Where.of(cell, url)
-    description = describe(where, "deltaq hz")
+    description = describe(where, "deltaq topic hz")
     with listen(where) as listener:
         arrivals = _listen(listener, description, duration_s)
     rates = {key: rate_of(times) for key, (_, times) in sorted(arrivals.items())}

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deltaq_controllers.camera import FOLLOWS
-from deltaq_deploy.command.options import CellOption, JsonOption
+from deltaq_deploy.command.options import CellOption, ControllerOption, JsonOption
 from deltaq_deploy.launch.exit_status import BAD
 
 if TYPE_CHECKING:
@@ -26,12 +26,7 @@ class Experiment(StrEnum):
     ZOOM = "zoom"
     COLLISION = "collision"
     ATTACK = "attack"
-
-
-CONTROLLERS = (
-    "paper, predictive, qp, clear-view, escape, a printed variant (printed, "
-    "printed-decay, …), or package.module:function."
-)
+    PEG_AND_VALVE = "peg-and-valve"
 
 
 LatencyOption = Annotated[
@@ -58,14 +53,34 @@ NoGateOption = Annotated[
         "--no-gate", help="Run a collision without the gate, to show what the follower alone prevents."
     ),
 ]
+ModesOption = Annotated[
+    list[str] | None,
+    typer.Option("--mode", help="peg-and-valve: only this mode of teleoperation; repeatable."),
+]
+SeedsOption = Annotated[
+    int,
+    typer.Option(
+        min=1,
+        max=1000,
+        help="peg-and-valve: runs of each mode; the seed of a run places hole and valve and draws the operator.",
+    ),
+]
+RecordOption = Annotated[
+    Path | None,
+    typer.Option(help="MCAP file to record to, for `deltaq recording replay`; it must not exist."),
+]
 
 
 def experiment(
     name: Annotated[Experiment, typer.Argument(help="Experiment to run.")],
     cell: CellOption = "lab",
-    controller: Annotated[str, typer.Option(help=f"Who moves the camera: {CONTROLLERS}")] = FOLLOWS,
+    controller: ControllerOption = FOLLOWS,
     robot: Annotated[
-        str | None, typer.Option(help="Robot with the camera (default: the cell's first).", metavar="ROBOT")
+        str | None,
+        typer.Option(
+            help="Robot with the camera (default: the cell's first); of peg-and-valve the robot that works.",
+            metavar="ROBOT",
+        ),
     ] = None,
     leader: Annotated[
         str | None,
@@ -87,11 +102,14 @@ def experiment(
     live: Annotated[bool, typer.Option("--live", help="Run over real processes, zenoh and UDP.")] = False,
     json: JsonOption = False,
     figure: Annotated[Path | None, typer.Option(help="Picture to write, laid out as in the paper.")] = None,
-    record: Annotated[
-        Path | None, typer.Option(help="MCAP file to record to, for `deltaq replay`; it must not exist.")
-    ] = None,
+    record: RecordOption = None,
+    mode: ModesOption = None,
+    seeds: SeedsOption = 10,
 ) -> None:
-    """Run an experiment in virtual time, or live, and report figures; exit status 1 on a violation."""
+    """Run an experiment in virtual time, or live, and report figures; exit status 1 on a violation.
+
+    peg-and-valve puts in a peg and turns a valve in each mode of teleoperation, and reports time and error.
+    """
     from deltaq_deploy.command.console import print_json
     from deltaq_services.recorder.writer import RecordingError
 
@@ -101,6 +119,13 @@ def experiment(
                 "attack runs in virtual time, and takes --seed, --duration-s and --json alone"
             )
         _attack(cell, seed, duration_s or 60.0, json)
+        return
+    if name is Experiment.PEG_AND_VALVE:
+        if live or figure is not None or record is not None:
+            raise typer.BadParameter(
+                "peg-and-valve runs in virtual time, and takes --robot, --mode, --seeds and --json alone"
+            )
+        _peg_and_valve(cell, robot, mode, seeds, json)
         return
     if no_gate and name is not Experiment.COLLISION:
         raise typer.BadParameter(f"--no-gate goes with collision; {name.value} runs through the gate")
@@ -183,23 +208,7 @@ def _show(report: dict[str, Any]) -> None:
     )
 
 
-def peg_and_valve(
-    cell: CellOption = "lab",
-    robot: Annotated[
-        str | None, typer.Option(help="A redundant robot with one hand.", show_default="the cell's first")
-    ] = None,
-    mode: Annotated[list[str] | None, typer.Option(help="Only this mode; repeatable.")] = None,
-    seeds: Annotated[
-        int,
-        typer.Option(
-            min=1,
-            max=1000,
-            help="Runs of each mode; the seed of a run places hole and valve and draws the operator.",
-        ),
-    ] = 10,
-    json: JsonOption = False,
-) -> None:
-    """Put in a peg and turn a valve in each mode of teleoperation, in virtual time; report time and error."""
+def _peg_and_valve(cell: str, robot: str | None, mode: list[str] | None, seeds: int, json: bool) -> None:
     from deltaq_deploy.command.console import print_json, print_table, progress_bar
     from deltaq_experiments.peg_and_valve import OFF_MM, OPERATORS, TILT_DEG, robot_for_the_task, run
     from deltaq_experiments.peg_and_valve_summary import FIGURES, by_mode, distributions
@@ -236,18 +245,21 @@ def peg_and_valve(
 
 
 def bench(
+    context: typer.Context,
     cell: CellOption = "lab",
     cycles: Annotated[int, typer.Option(min=10, help="Cycles of tracking that are timed.")] = 400,
     live: Annotated[
         bool, typer.Option("--live", help="Run the cell, and time each increment on its way through it.")
     ] = False,
-    follower: Annotated[str, typer.Option(help="Live: the follower's camera controller.")] = "qp",
+    follower: Annotated[str, typer.Option(help="Live: the follower's camera controller.")] = FOLLOWS,
     duration_s: Annotated[float, typer.Option(min=0.5, help="Live: duration of the measurement.")] = 60.0,
     warm_up_s: Annotated[float, typer.Option(min=0.0, help="Live: time before the measurement.")] = 10.0,
     runs: Annotated[int, typer.Option(min=1, help="Live: number of runs; each is reported.")] = 1,
     json: JsonOption = False,
 ) -> None:
     """Measure against references in the same run; exit status 1 if a bound is not kept."""
+    if context.invoked_subcommand is not None:
+        return
     if live:
         from deltaq_experiments.bench.live import LiveOptions
 

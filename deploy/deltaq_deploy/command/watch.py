@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from rich.console import Group
 
     from deltaq_protocol.audit import AuditEntry
+    from deltaq_protocol.blocking import BlockingCell
     from deltaq_protocol.messages import Description, Status
 
 
@@ -102,12 +103,42 @@ def ros2(
     log.say_result(bridge.summary())
 
 
-def status(cell: CellOption = "lab", url: UrlOption = None, json: JsonOption = False) -> None:
-    """Show a running cell: phases, leases, age of data, what the gate decided, the nearest pair."""
+def status(
+    cell: CellOption = "lab",
+    url: UrlOption = None,
+    watch: Annotated[bool, typer.Option("--watch", help="Repeat it until Ctrl-C.")] = False,
+    interval_s: Annotated[
+        float, typer.Option(min=0.05, help="With --watch: time between two updates.")
+    ] = 0.5,
+    count: Annotated[
+        int, typer.Option(min=0, help="With --watch: end after this many updates; 0: never.")
+    ] = 0,
+    service: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SERVICE",
+            help="Ask this service, e.g. sim or robot-server-fr, whether it is healthy: exit status 0 yes, 1 no, "
+            "3 no answer.",
+        ),
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Show a running cell: phases, leases, age of data, what the gate decided, the nearest pair.
+
+    With --watch and --json it prints one object a line.
+    """
     from deltaq_deploy.command.console import PIPE_WIDTH, console, print_json
     from deltaq_deploy.launch.cell_connection import Where, connect
 
+    if service is not None:
+        if watch or url is not None:
+            raise typer.BadParameter("--service takes --cell, and neither --url nor --watch")
+        _health(service, cell, json)
+        return
     with connect(Where.of(cell, url), "deltaq status") as running:
+        if watch:
+            _watch(running, interval_s, count, json)
+            return
         answer, description = running.status(), running.description
     if json:
         print_json(answer.model_dump(mode="json"))
@@ -116,6 +147,49 @@ def status(cell: CellOption = "lab", url: UrlOption = None, json: JsonOption = F
         if not target.is_terminal:
             target.width = PIPE_WIDTH
         target.print(shown(answer, description))
+
+
+def _watch(running: BlockingCell, interval_s: float, count: int, json: bool) -> None:
+    """Show the status of a cell again and again, until Ctrl-C or as often as is asked."""
+    import time
+
+    from rich.live import Live
+
+    from deltaq_deploy.command.console import console, print_json
+
+    screen = contextlib.nullcontext() if json else Live(console=console(), auto_refresh=False)
+    with contextlib.suppress(KeyboardInterrupt), screen as live:
+        for look in counted(1):
+            answer = running.status()
+            if live is None:
+                print_json(answer.model_dump(mode="json"))
+            else:
+                live.update(shown(answer, running.description), refresh=True)
+            if look == count:
+                return
+            time.sleep(interval_s)
+
+
+def _health(service: str, cell: str, json: bool) -> None:
+    """Ask one service whether it is healthy.
+
+    Raises:
+        typer.Exit: it is not.
+    """
+    from deltaq_cell.load import load_cell
+    from deltaq_deploy.command.console import print_json
+    from deltaq_deploy.launch.probes import probe
+    from deltaq_deploy.launch.services import cell_services, console_service, one
+
+    description = load_cell(cell)
+    services = (*cell_services(description, cell), console_service(description, cell, ()))
+    answer = probe(one(services, service), description)
+    if json:
+        print_json({"service": service, "healthy": answer.healthy, "detail": answer.detail})
+    else:
+        typer.echo(f"{service}: {'healthy' if answer.healthy else 'not healthy'}  {answer.detail}".rstrip())
+    if not answer.healthy:
+        raise typer.Exit(BAD)
 
 
 def shown(answer: Status, cell: Description) -> Group:
@@ -147,57 +221,6 @@ def shown(answer: Status, cell: Description) -> Group:
         pair = " and ".join(answer.nearest.pair)
         lines.append(f"nearest: {pair}, {answer.nearest.distance_m * 1000:.0f} mm")
     return Group(table_of(f"cell {answer.identity or answer.cell}", columns, rows), *map(Text, lines))
-
-
-def top(
-    cell: CellOption = "lab",
-    url: UrlOption = None,
-    interval_s: Annotated[float, typer.Option(min=0.05, help="Time between two updates.")] = 0.5,
-    count: Annotated[int, typer.Option(min=0, help="End after this many updates; 0: never.")] = 0,
-    json: JsonOption = False,
-) -> None:
-    """Watch a running cell: repeat `status` until Ctrl-C; with --json one object a line."""
-    import time
-
-    from rich.live import Live
-
-    from deltaq_deploy.command.console import console, print_json
-    from deltaq_deploy.launch.cell_connection import Where, connect
-
-    with connect(Where.of(cell, url), "deltaq top") as running, contextlib.suppress(KeyboardInterrupt):
-        screen = contextlib.nullcontext() if json else Live(console=console(), auto_refresh=False)
-        with screen as live:
-            for look in counted(1):
-                answer = running.status()
-                if live is None:
-                    print_json(answer.model_dump(mode="json"))
-                else:
-                    live.update(shown(answer, running.description), refresh=True)
-                if look == count:
-                    return
-                time.sleep(interval_s)
-
-
-def health(
-    service: Annotated[str, typer.Argument(help="A service of the cell, e.g. sim or robot-server-fr.")],
-    cell: CellOption = "lab",
-    json: JsonOption = False,
-) -> None:
-    """Ask one service whether it is healthy: exit status 0 yes, 1 no, 3 no answer."""
-    from deltaq_cell.load import load_cell
-    from deltaq_deploy.command.console import print_json
-    from deltaq_deploy.launch.probes import probe
-    from deltaq_deploy.launch.services import cell_services, console_service, one
-
-    description = load_cell(cell)
-    services = (*cell_services(description, cell), console_service(description, cell, ()))
-    answer = probe(one(services, service), description)
-    if json:
-        print_json({"service": service, "healthy": answer.healthy, "detail": answer.detail})
-    else:
-        typer.echo(f"{service}: {'healthy' if answer.healthy else 'not healthy'}  {answer.detail}".rstrip())
-    if not answer.healthy:
-        raise typer.Exit(BAD)
 
 
 _COLUMNS = (

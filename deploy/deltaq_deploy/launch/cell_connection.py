@@ -130,6 +130,22 @@ def describe(where: Where, client: str) -> Description:
         return running.description
 
 
+def described(cell: str, url: str | None, client: str) -> CellDescription:
+    """The description of a cell: of its file, or, where an address is given, of what runs there.
+
+    Raises:
+        CellError: the file cannot be read.
+        ServiceUnreachableError: if no HLI is at the address.
+    """
+    from deltaq_cell.load import load_cell, parse_cell
+
+    if url is None:
+        return load_cell(cell)
+    where = Where.of(cell, url)
+    told = describe(where, client)
+    return parse_cell(told.yaml, told.cell).model_copy(update={"hli": where.hli})
+
+
 @contextmanager
 def listen(cell: CellDescription | Where) -> Iterator[Listener]:
     """Listen to the HLI of a running cell.

@@ -90,7 +90,7 @@ def write_new_secret(file: Path, *, keep: bool = False) -> None:
             raise LaunchError(
                 f"{file} exists already; a secret is never overwritten, name another file"
             ) from None
-        if faults := faults_of_secret(file.stat(), file, "deltaq key"):
+        if faults := faults_of_secret(file.stat(), file, "deltaq keys --secret"):
             raise LaunchError(f"{file} {faults[0]}") from None
         return
     except OSError as error:

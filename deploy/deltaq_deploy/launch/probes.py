@@ -96,7 +96,7 @@ def _ask_health_topic(name: str, endpoint: str, cell: CellDescription) -> ProbeA
 def _ask_hli(cell: CellDescription) -> ProbeAnswer:
     from deltaq_deploy.launch.cell_connection import connect
 
-    with connect(cell, "deltaq health") as running:
+    with connect(cell, "deltaq status --service") as running:
         status = running.status()
     if status.gate_age_s is None or status.gate_age_s > topics.HEALTH.age_s(cell.cycle_s):
         return ProbeAnswer(False, "the SIM is silent")

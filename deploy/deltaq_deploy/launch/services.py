@@ -1,6 +1,6 @@
 """The table of services: what runs for a cell, in which order, and what healthy means.
 
-`deltaq up`, `deltaq demo`, `deltaq health`, `compose.yaml` and the documentation all follow from this table.
+`deltaq up`, `deltaq demo`, `deltaq status --service`, `compose.yaml` and the documentation all follow from this table.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""A recording as one HTML page that an operator attaches to a log: `deltaq report`."""
+"""A recording as one HTML page that an operator attaches to a log: `deltaq recording report`."""

@@ -1,4 +1,4 @@
-"""The figures of a run as `deltaq report --json` prints them."""
+"""The figures of a run as `deltaq recording report --json` prints them."""
 
 from __future__ import annotations
 

@@ -301,7 +301,7 @@ def read_run(path: Path, on_progress: Callable[[int, int], None] | None = None) 
         why = f": {run.notices[0]}" if run.notices else ""
         raise EmptyRecordingError(
             f"{path} has no state of any robot{why}; there is nothing to report. "
-            "Record while the cell is up: `deltaq record FILE`"
+            "Record while the cell is up: `deltaq recording record --output FILE`"
         )
     run.events.sort(key=lambda event: event.time_s)
     return run

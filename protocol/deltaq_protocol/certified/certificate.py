@@ -15,7 +15,7 @@ from deltaq_protocol.certified.names import IdentityError
 RENEW_BEFORE = timedelta(days=30)
 """Left of a certificate's time when its user begins to be warned."""
 _ALL_BITS_USED = b"\0"
-RENEW = "make new ones with `deltaq keys CELL --to NEW_FOLDER`, and give each machine its own"
+RENEW = "make new ones with `deltaq keys --cell CELL --output NEW_FOLDER`, and give each machine its own"
 
 
 def certificate_in(pem: bytes, where: str) -> x509.Certificate:

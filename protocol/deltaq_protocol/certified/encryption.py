@@ -59,7 +59,7 @@ def client_tls(hli: str, identity: str | os.PathLike[str] | None = None) -> dict
     if folder is None:
         raise IdentityError(
             f"{hli} is encrypted, and {CLIENT_IDENTITY} names no identity; whoever runs the cell makes one with "
-            "`deltaq keys CELL --to FOLDER --controller NAME` or `--operator NAME`"
+            "`deltaq keys --cell CELL --output FOLDER --controller NAME` or `--operator NAME`"
         )
     for name in (AUTHORITY, CERTIFICATE, KEY):
         if not os.access(folder / name, os.R_OK):

@@ -37,7 +37,7 @@ from deltaq_protocol.certified.names import (
 )
 from deltaq_protocol.secret_file import contents, faults_of_believed, faults_of_secret
 
-_MAKES = "deltaq keys CELL --to FOLDER"
+_MAKES = "deltaq keys --cell CELL --output FOLDER"
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ class ViewTarget(Message):
     focus_m: TargetPoint | None = None
 
     def words(self) -> str:
-        """The target as people read it, and as `deltaq view --target` takes it."""
+        """The target as people read it, and as `deltaq camera view --target` takes it."""
         if self.focus_m is not None:
             return _coordinates(self.focus_m)
         name = self.leader or ""

@@ -122,7 +122,8 @@ class Recording:
                 return recording
         why = f": {recording.notices[0]}" if recording.notices else ""
         raise UnreadableRecordingError(
-            f"{path} is no recording of deltaq{why}; `deltaq record` and `deltaq experiment --record` write them"
+            f"{path} is no recording of deltaq{why}; `deltaq recording record` and `deltaq experiment --record` "
+            "write them"
         )
 
     @property

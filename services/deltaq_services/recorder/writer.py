@@ -1,7 +1,8 @@
 """Writes a recording: an MCAP file of protobuf messages, one channel a topic and robot.
 
-The gate's inputs and outputs are written in the gate's own order: each input, then the outputs that answered it,
-all with the input's number as the MCAP sequence number. `deltaq replay` depends on that order; viewers sort by time.
+The gate's inputs and outputs are written in the gate's own order: each input, then the outputs that answered it, all
+with the input's number as the MCAP sequence number. `deltaq recording replay` relies on that order; viewers sort by
+time.
 """
 
 from __future__ import annotations

@@ -51,16 +51,17 @@ def test_an_error_has_the_exit_status_that_scripts_rely_on(error: ProtocolError,
         ("stop",),
         ("reset", "--robot", "fr"),
         ("lease", "--robot", "fr"),
-        ("health", "sim"),
-        ("hz",),
+        ("status", "--service", "sim"),
+        ("topic", "hz"),
         ("drive", "--robot", "fr"),
-        ("record", "never-written.mcap"),
+        ("recording", "record", "--output", "never-written.mcap"),
         ("dry-run", "--robot", "fr", "--dq", "0,0,0,0,0,0"),
         ("contact",),
         ("io", "--robot", "gr"),
         ("advise", "--robot", "gr"),
-        ("follow", "--distance-m", "1"),
-        ("view", "--distance-m", "1"),
+        ("camera", "follow", "--distance-m", "1"),
+        ("camera", "view", "--distance-m", "1"),
+        ("camera", "show"),
         ("fault", "inject", "krc-hiccup", "--robot", "fr"),
     ],
     ids=" ".join,
@@ -84,25 +85,31 @@ def test_a_cell_that_is_not_up_is_exit_status_3_and_one_clear_line(
     ("arguments", "told"),
     [
         (("status", "--cell", "labb"), "did you mean 'lab'?"),
-        (("health", "simm"), "no service 'simm' in this cell; it has robot-server-fr"),
+        (("status", "--service", "simm"), "no service 'simm' in this cell; it has robot-server-fr"),
         (("up", "--only", "hlii"), "no service 'hlii'"),
         (("reset", "--robot", "rf"), "no robot 'rf' in cell lab; it has fr, gr"),
         (("lease", "--robot", "fr", "--take", "--release"), "choose one of --take and --release"),
-        (("echo", "stat"), "did you mean 'state'?"),
-        (("echo", "admission"), "is in the guarded realm"),
-        (("echo", "lease"), "is a query; those that can be watched are state"),
+        (("topic", "echo", "stat"), "did you mean 'state'?"),
+        (("topic", "echo", "admission"), "is in the guarded realm"),
+        (("topic", "echo", "lease"), "is a query; those that can be watched are state"),
         (("schema", "stat"), "did you mean 'state'?"),
         (("experiment", "tracing"), "'tracing' is not"),
         (("experiment", "tracking", "--duration-s", "many"), "--duration-s"),
-        (("hz", "--duration-s", "0"), "0.1"),
+        (("topic", "hz", "--duration-s", "0"), "0.1"),
         (("dry-run", "--robot", "fr", "--dq", "1,x"), "finite numbers"),
         (("io", "--robot", "gr", "gripper=open"), "OUTPUT=on or OUTPUT=off, got 'gripper=open'"),
-        (("view", "--distance-m", "9"), "'--distance-m': Input should be less than or equal to 4, got '9'"),
-        (("view", "--robot", "rf"), "no robot 'rf' in cell lab; it has fr, gr"),
-        (("view", "--target", "gr:1,2"), "--target"),
-        (("view", "--target", "gr", "--target", "-1,2,x"), "'-1,2,x' is no target like gr, gr:0,0,0.04 or"),
-        (("view", "--target", "0,0,1e9"), "focus_m.2: Input should be less than or equal to 100"),
-        (("view", "--target", ""), "leader: String should have at least 1 character"),
+        (
+            ("camera", "view", "--distance-m", "9"),
+            "'--distance-m': Input should be less than or equal to 4, got '9'",
+        ),
+        (("camera", "view", "--robot", "rf"), "no robot 'rf' in cell lab; it has fr, gr"),
+        (("camera", "view", "--target", "gr:1,2"), "--target"),
+        (
+            ("camera", "view", "--target", "gr", "--target", "-1,2,x"),
+            "'-1,2,x' is no target like gr, gr:0,0,0.04 or",
+        ),
+        (("camera", "view", "--target", "0,0,1e9"), "focus_m.2: Input should be less than or equal to 100"),
+        (("camera", "view", "--target", ""), "leader: String should have at least 1 character"),
         (("io", "--robot", "gr", "=on"), "OUTPUT=on or OUTPUT=off, got '=on'"),
         (("dry-run", "--robot", "fr", "--dq", "nan,0,0,0,0,0"), "finite numbers"),
     ],
@@ -126,7 +133,7 @@ def test_a_cell_that_other_machines_could_drive_is_not_started(tmp_path: Path) -
 
 @pytest.mark.long
 def test_a_good_cell_passes_its_check() -> None:
-    done = deltaq("check", "lab", "--json")
+    done = deltaq("check", "--cell", "lab", "--json")
     assert done.returncode == 0, done.stdout
     assert json.loads(done.stdout)["ok"] is True
 
@@ -135,10 +142,10 @@ def test_a_good_cell_passes_its_check() -> None:
 def test_a_bad_cell_fails_its_check_with_file_line_and_field(tmp_path: Path) -> None:
     file = tmp_path / "bad.yaml"
     file.write_text("extends: lab\ngate:\n  stop_distance_m: -0.1\n", encoding="utf-8")
-    done = deltaq("check", str(file))
+    done = deltaq("check", "--cell", str(file))
     assert done.returncode == 1
     assert "bad.yaml:3: gate.stop_distance_m:" in done.stdout
-    problem = json.loads(deltaq("check", str(file), "--json").stdout)["problems"][0]
+    problem = json.loads(deltaq("check", "--cell", str(file), "--json").stdout)["problems"][0]
     assert (problem["line"], problem["field"], problem["value"]) == (3, "gate.stop_distance_m", -0.1)
 
 

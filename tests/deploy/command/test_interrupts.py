@@ -28,22 +28,22 @@ BY_EVERY_VERB = ("typer", "numpy", "zenoh", "pydantic")
 BY_ONE = [
     ("yaml", "up"),
     ("yaml", "demo"),
-    ("yaml", "check lab"),
+    ("yaml", "check"),
     ("yaml", "doctor"),
-    ("yaml", "record never-written.mcap"),
+    ("yaml", "recording record --output never-written.mcap"),
     ("yaml", "drive --robot fr"),
     ("yaml", "dry-run --robot fr --dq 0,0,0,0,0,0"),
     ("yaml", "contact"),
-    ("yaml", "health sim"),
+    ("yaml", "status --service sim"),
     ("yaml", "fault inject krc-hiccup --robot fr"),
     ("numba", "experiment tracking --duration-s 1"),
     ("pinocchio", "experiment attack --duration-s 1"),
     ("pinocchio", "advise --offline"),
-    ("pinocchio", "peg-and-valve"),
+    ("pinocchio", "experiment peg-and-valve"),
     ("pinocchio", "bench"),
     ("asyncio", "fault impair --listen tcp/127.0.0.1:9 --to tcp/127.0.0.1:9"),
-    ("deltaq_testing.replay", "replay never-written.mcap"),
-    ("mcap", "plot never-written.mcap"),
+    ("deltaq_testing.replay", "recording replay never-written.mcap"),
+    ("mcap", "recording plot never-written.mcap"),
 ]
 
 

@@ -20,7 +20,9 @@ def folder(tmp_path):
 
 
 def test_it_makes_an_identity_for_each_service_and_person_and_says_where_the_authority_belongs(folder):
-    done = deltaq("keys", "lab", "--to", str(folder), "--operator", "desk", "--controller", "camera")
+    done = deltaq(
+        "keys", "--cell", "lab", "--output", str(folder), "--operator", "desk", "--controller", "camera"
+    )
     assert (done.returncode, done.stderr) == (0, "")
     names = ["robot-server-fr", "robot-server-gr", "sim", "hli", "operator-desk", "controller-camera"]
     assert [line.partition(":")[0] for line in done.stdout.splitlines()[:6]] == [
@@ -35,16 +37,20 @@ def test_it_makes_an_identity_for_each_service_and_person_and_says_where_the_aut
 @pytest.mark.long
 def test_it_adds_what_is_missing_and_tells_programs_what_it_did(folder, tmp_path):
     for operator, made, kept in (("desk", 5, 0), ("tower", 1, 4), ("tower", 0, 5)):
-        done = deltaq("keys", "lab", "--to", str(folder), "--operator", operator, "--days", "30", "--json")
+        done = deltaq(
+            "keys", "--cell", "lab", "--output", str(folder), "--operator", operator, "--days", "30", "--json"
+        )
         told = json.loads(done.stdout)
         assert (len(told["made"]), len(told["kept"])) == (made, kept)
         assert told["authority_is_new"] == (operator == "desk")
     drawer = tmp_path / "drawer"
     (folder / "authority").rename(drawer)
-    refused = deltaq("keys", "lab", "--to", str(folder), "--operator", "night")
+    refused = deltaq("keys", "--cell", "lab", "--output", str(folder), "--operator", "night")
     assert (refused.returncode, refused.stdout) == (2, "")
     assert "--authority" in refused.stderr
-    done = deltaq("keys", "lab", "--to", str(folder), "--operator", "night", "--authority", str(drawer))
+    done = deltaq(
+        "keys", "--cell", "lab", "--output", str(folder), "--operator", "night", "--authority", str(drawer)
+    )
     assert done.returncode == 0
     assert (folder / "operator-night" / "key.pem").exists()
 
@@ -52,13 +58,13 @@ def test_it_adds_what_is_missing_and_tells_programs_what_it_did(folder, tmp_path
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("nowhere",), "nowhere"),
-        (("lab", "--operator", "../x"), "cannot be the name of an identity"),
-        (("lab", "--to", "/proc/none"), "cannot be written"),
+        (("--cell", "nowhere"), "nowhere"),
+        (("--operator", "../x"), "cannot be the name of an identity"),
+        (("--output", "/proc/none"), "cannot be written"),
     ],
 )
 def test_a_user_s_mistake_is_one_line_and_nothing_is_made(folder, arguments, said):
-    done = deltaq("keys", "--to", str(folder), *arguments)
+    done = deltaq("keys", "--output", str(folder), *arguments)
     assert done.returncode == 2
     assert said in done.stderr
     assert "Traceback" not in done.stderr
@@ -69,14 +75,14 @@ def test_a_user_s_mistake_is_one_line_and_nothing_is_made(folder, arguments, sai
 def test_check_tells_of_the_end_before_it_comes_and_refuses_what_is_over(folder, tmp_path, monkeypatch):
     make(folder)
     monkeypatch.setenv(IDENTITY, str(folder))
-    assert deltaq("check", "lab").stdout.startswith("lab: good")
+    assert deltaq("check", "--cell", "lab").stdout.startswith("lab: good")
     monkeypatch.setenv(IDENTITY, str(make(tmp_path / "old", age=715 * DAY) / "sim"))
-    warned = deltaq("check", "lab")
+    warned = deltaq("check", "--cell", "lab")
     assert warned.returncode == 0
     assert "warning: DELTAQ_IDENTITY: " in warned.stdout
     assert "is valid for 14 more days" in warned.stdout
     monkeypatch.setenv(IDENTITY, str(make(tmp_path / "over", age=731 * DAY)))
-    refused = deltaq("check", "lab", "--json")
+    refused = deltaq("check", "--cell", "lab", "--json")
     assert refused.returncode == 1
     told = json.loads(refused.stdout)
     assert len(told["problems"]) == 4

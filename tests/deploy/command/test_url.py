@@ -12,12 +12,13 @@ from small_cell import endpoint
 
 VERBS = {
     "status": ("status",),
-    "top": ("top", "--count", "1"),
-    "hz": ("hz", "--duration-s", "0.5"),
-    "echo": ("echo", "state", "--robot", "fr", "--count", "2"),
+    "watch": ("status", "--watch", "--count", "1"),
+    "hz": ("topic", "hz", "--duration-s", "0.5"),
+    "echo": ("topic", "echo", "state", "--robot", "fr", "--count", "2"),
     "lease": ("lease", "--robot", "fr"),
     "stop": ("stop",),
     "reset": ("reset", "--robot", "fr"),
+    "reset all": ("reset",),
 }
 
 
@@ -47,9 +48,8 @@ def test_what_is_no_address_is_wrong_usage(verb: tuple[str, ...]) -> None:
 
 @pytest.mark.long
 def test_a_robot_that_the_cell_does_not_have_is_named_with_those_it_has(server: Server) -> None:
-    for verb in ("echo", "lease", "reset"):
-        arguments = ("state",) if verb == "echo" else ()
-        done = deltaq(verb, *arguments, "--robot", "rf", "--url", server.description.hli)
+    for verb in (("topic", "echo", "state"), ("lease",), ("reset",)):
+        done = deltaq(*verb, "--robot", "rf", "--url", server.description.hli)
         assert done.returncode == 2, verb
         assert "no robot 'rf' in cell small; it has fr, gr" in done.stderr
 
@@ -57,14 +57,14 @@ def test_a_robot_that_the_cell_does_not_have_is_named_with_those_it_has(server: 
 @pytest.mark.service
 @pytest.mark.parametrize("verb", VERBS.values(), ids=VERBS.keys())
 def test_the_address_is_enough(server: Server, verb: tuple[str, ...]) -> None:
-    json_too = () if verb[0] == "echo" else ("--json",)
+    json_too = () if "echo" in verb else ("--json",)
     done = deltaq(*verb, *json_too, "--url", server.description.hli)
     assert done.returncode == 0, done.stderr
     told = [json.loads(line) for line in done.stdout.splitlines()]
-    assert len(told) == (2 if verb[0] == "echo" else 1)
-    if verb[0] in ("status", "hz"):
+    assert len(told) == (2 if "echo" in verb else 1)
+    if "status" in verb or "hz" in verb:
         assert told[0]["cell"] == "small"
-    if verb[0] == "hz":
+    if "hz" in verb:
         assert told[0]["topics"]["deltaq/small/fr/state"]["count"] > 10
 
 

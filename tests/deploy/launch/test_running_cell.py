@@ -91,7 +91,7 @@ def wait_for_phases(cell: RunningCell, wanted: dict[str, str]) -> None:
 
 def test_every_service_of_a_running_cell_is_healthy(cell: RunningCell) -> None:
     for service in sorted(SERVICES):
-        done = cell.deltaq("health", service, "--json")
+        done = cell.deltaq("status", "--service", service, "--json")
         assert done.returncode == 0, (service, done.stderr)
         assert json.loads(done.stdout)["healthy"] is True
 
@@ -131,21 +131,21 @@ def test_status_shows_people_the_phase_of_each_robot(cell: RunningCell) -> None:
 
 
 def test_top_looks_as_often_as_asked_and_shows_what_status_shows(cell: RunningCell) -> None:
-    done = cell.deltaq("top", "--count", "3", "--interval-s", "0.1", "--json")
+    done = cell.deltaq("status", "--watch", "--count", "3", "--interval-s", "0.1", "--json")
     looks = [json.loads(line) for line in done.stdout.splitlines()]
     assert len(looks) == 3
     assert looks[0]["robots"]["fr"]["cycle"] < looks[2]["robots"]["fr"]["cycle"]
-    assert re.search(r"fr .* ready", cell.deltaq("top", "--count", "1").stdout)
+    assert re.search(r"fr .* ready", cell.deltaq("status", "--watch", "--count", "1").stdout)
 
 
 def test_states_come_once_a_cycle(cell: RunningCell) -> None:
-    measured = json.loads(cell.deltaq("hz", "--duration-s", "2", "--json").stdout)
+    measured = json.loads(cell.deltaq("topic", "hz", "--duration-s", "2", "--json").stdout)
     rate = measured["topics"]["deltaq/lab/fr/state"]
     assert rate["rate_hz"] == pytest.approx(1 / measured["cycle_s"], rel=0.1)
 
 
 def test_echo_prints_as_many_messages_as_asked_for_each_an_object_on_a_line(cell: RunningCell) -> None:
-    done = cell.deltaq("echo", "state", "--robot", "gr", "--count", "3")
+    done = cell.deltaq("topic", "echo", "state", "--robot", "gr", "--count", "3")
     states = [json.loads(line) for line in done.stdout.splitlines()]
     assert [state["robot"] for state in states] == ["gr", "gr", "gr"]
     assert states[0]["cycle"] < states[1]["cycle"] < states[2]["cycle"]
@@ -248,7 +248,7 @@ def test_a_service_that_dies_is_named_and_can_be_started_again_and_nothing_is_le
     again = start(cell.file, "--only", "sim")
     try:
         again.read_until("cell lab is up: sim")
-        assert cell.deltaq("health", "sim").returncode == 0
+        assert cell.deltaq("status", "--service", "sim").returncode == 0
     finally:
         assert finish(again) == 0
     assert finish(cell) == 1  # a service died: that is told in the exit status too

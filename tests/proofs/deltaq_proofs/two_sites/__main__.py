@@ -63,7 +63,9 @@ def _follow(given: argparse.Namespace, made: Sites, folder: Path) -> dict[str, A
     record = folder / "run.mcap"
     with two_sites(made, folder, given.transport) as running:
         recorder = running.run(
-            "recorder", made.office, (*DELTAQ, "record", str(record), "--cell", str(running.file))
+            "recorder",
+            made.office,
+            (*DELTAQ, "recording", "record", "--output", str(record), "--cell", str(running.file)),
         )
         running.get_ready()
         print(

@@ -203,7 +203,7 @@ def _identities_of_sites(cell_file: Path, cell: CellDescription, folder: Path) -
         SiteError: if they cannot be made.
     """
     made = folder / "identities"
-    command = [*DELTAQ, "keys", str(cell_file), "--to", str(made)]
+    command = [*DELTAQ, "keys", "--cell", str(cell_file), "--output", str(made)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise SiteError(f"`deltaq keys`: {done.stderr.strip()}")
