@@ -172,18 +172,3 @@ def test_the_best_in_place_is_an_option_with_a_path_where_the_hands_may_leave(
     best = asked(robot, number, False)[0][0] if robot != "fr" else None  # without a joint to spare it stays
     expected = starts_of(robot)[number] if best is None else best.q
     assert any((option.q == expected).all() and option.path is not None for option in in_place)
-
-
-@pytest.mark.by_day(1)
-@pytest.mark.long
-@pytest.mark.parametrize("robot", ["gr", "dawm", "fr"])
-def test_options_that_are_shown_keep_their_ranks(robot: str) -> None:
-    """An operator who has read a rank may choose it at once."""
-    for number in range(3):
-        found, told = asked(robot, number, True)
-        assert [option.energy for option in found] == sorted(option.energy for option in found)
-        shown = [progress.options for progress in told if progress.options]
-        assert list(shown[-1]) == found
-        for options in shown:
-            for option, final in zip(options, found, strict=True):
-                np.testing.assert_array_equal(option.q, final.q)

@@ -8,12 +8,12 @@ import pytest
 from gate_bench import CELL, HOME, LIMITS, PROXIMITY, at_rest, in_motion, one_joint
 from hypothesis import given
 from hypothesis import strategies as st
+from small_cell import admission_after
 from spans import exact_drives
 
 from deltaq_cell.decisions import Decisions
 from deltaq_cell.kernel.course import course_points, lay_course
 from deltaq_experiments.bench.cornered import stored
-from deltaq_protocol.guarded import Admission
 from deltaq_services.sim.compiled_certificate import Blend, CompiledCertifier
 from deltaq_services.sim.core import Sim
 from deltaq_services.sim.tube import Branch, tube
@@ -101,19 +101,7 @@ def in_flight(q, dq):
     """A robot in motion with an admission that no state has confirmed."""
     robot = in_motion("fr", q, dq)
     state = robot.state
-    robot.admitted(
-        Admission(
-            robot="fr",
-            epoch=state.epoch,
-            sequence=state.sequence + 1,
-            cycle=state.cycle,
-            follows_sequence=state.sequence,
-            follows_q_cmd=state.q_cmd,
-            follows_dq=state.dq,
-            dq=tuple((1.01 * dq).tolist()),
-            brake_cycles=LIMITS["fr"].brake_cycles(1.01 * dq),
-        )
-    )
+    robot.admitted(admission_after(state, 1.01 * dq, LIMITS["fr"].brake_cycles(1.01 * dq)))
     robot.decide_after(state.cycle + 1)
     return robot
 

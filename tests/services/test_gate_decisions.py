@@ -23,9 +23,9 @@ from gate_bench import (
     one_joint,
     with_room,
 )
+from small_cell import admission_after
 
 from deltaq_cell.description import ContactDescription
-from deltaq_protocol.guarded import Admission
 from deltaq_protocol.messages import Outcome, Reason
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.certificate import Certifier
@@ -200,19 +200,7 @@ def test_what_was_just_admitted_to_the_other_robot_is_kept_clear_of():
     robot = at_rest("fr", FR_BESIDE_GR)
     turns = [one_joint("fr", 0, 1e-4), one_joint("fr", 0, -1e-4)]
     assert [decide(robot, turn, [gr]).outcome for turn in turns] == [Outcome.ADMITTED] * 2
-    gr.admitted(
-        Admission(
-            robot="gr",
-            epoch=1,
-            sequence=2,
-            cycle=gr.state.cycle,
-            follows_sequence=1,
-            follows_q_cmd=gr.state.q_cmd,
-            follows_dq=gr.state.dq,
-            dq=tuple(one_joint("gr", 4, 0.01).tolist()),
-            brake_cycles=5,
-        )
-    )
+    gr.admitted(admission_after(gr.state, one_joint("gr", 4, 0.01), 5))
     assert Outcome.HELD in [decide(robot, turn, [gr]).outcome for turn in turns]  # the one that leads nearer
 
 

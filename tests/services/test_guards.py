@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from small_cell import server_state
+from small_cell import admission_after, server_state
 
 from deltaq_cell.load import load_cell
 from deltaq_protocol import topics
-from deltaq_protocol.guarded import Admission
 from deltaq_services.robot_server.guards import Bounds, Refusal, refusal
 from deltaq_services.robot_server.reply_guard import ReplyFault, reply_fault
 from deltaq_services.robot_server.session import (
@@ -30,18 +29,7 @@ BOUNDS = Bounds(lower=np.full(6, -1.0), upper=np.full(6, 2.0), max_dq=MAX_DQ, ma
 def answer(q=0.0, last=0.0, dq=0.0, brake_cycles=1, age_cycles=0):
     """What is said to an increment of all joints, by a robot whose setpoint is at `q` after an increment `last`."""
     state = server_state(q_cmd=(q,) * 6, dq=(last,) * 6)
-    admission = Admission(
-        robot="fr",
-        epoch=state.epoch,
-        sequence=state.sequence + 1,
-        cycle=state.cycle - age_cycles,
-        follows_sequence=state.sequence,
-        follows_q_cmd=state.q_cmd,
-        follows_dq=state.dq,
-        follows_resets=state.resets,
-        dq=(dq,) * 6,
-        brake_cycles=brake_cycles,
-    )
+    admission = admission_after(state, (dq,) * 6, brake_cycles, cycle=state.cycle - age_cycles)
     return refusal(admission, state, BOUNDS)
 
 

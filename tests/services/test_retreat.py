@@ -18,8 +18,9 @@ from gate_bench import (
     one_joint,
     with_room,
 )
+from small_cell import admission_after
 
-from deltaq_protocol.guarded import Admission, KeptDistance
+from deltaq_protocol.guarded import KeptDistance
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.retreat import ALLOWANCE_M, Retreat, Violations
 
@@ -198,19 +199,7 @@ def test_a_violation_of_two_robots_is_led_out_of_by_either():
 
 def in_flight(gr, increment):
     """GR, with an admission on its way that turns its joint 4."""
-    gr.admitted(
-        Admission(
-            robot="gr",
-            epoch=1,
-            sequence=2,
-            cycle=1,
-            follows_sequence=1,
-            follows_q_cmd=gr.state.q_cmd,
-            follows_dq=gr.state.dq,
-            dq=tuple(one_joint("gr", 4, increment).tolist()),
-            brake_cycles=4,
-        )
-    )
+    gr.admitted(admission_after(gr.state, one_joint("gr", 4, increment), 4, cycle=1))
     return gr
 
 

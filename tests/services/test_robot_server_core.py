@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_cell import admission_after
 
 from deltaq_cell.identity import content_identity
 from deltaq_cell.load import load_cell
 from deltaq_protocol.brake import brake_cycles
-from deltaq_protocol.guarded import Admission, Supervision
+from deltaq_protocol.guarded import Supervision
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.phases import MAY_MOVE, TRANSITIONS, Event, next_phase
@@ -70,20 +71,8 @@ class Rig:
         return self.server.state
 
     def admission(self, increment, **changes):
-        state = self.server.state
-        fields = {
-            "robot": "fr",
-            "epoch": EPOCH,
-            "sequence": state.sequence + 1,
-            "cycle": state.cycle,
-            "follows_sequence": state.sequence,
-            "follows_q_cmd": state.q_cmd,
-            "follows_dq": state.dq,
-            "follows_resets": state.resets,
-            "dq": tuple(np.asarray(increment).tolist()),
-            "brake_cycles": brake_cycles(np.asarray(increment), STEP),
-        }
-        return Admission(**(fields | changes))
+        cycles = brake_cycles(np.asarray(increment), STEP)
+        return admission_after(self.server.state, increment, cycles, **({"epoch": EPOCH} | changes))
 
     def run_up(self, cycles):
         """Accelerate all joints for some cycles."""

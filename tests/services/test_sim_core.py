@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gate_rig import CELL, SMALL, Rig, bound
+from small_cell import admission_after
 
 import deltaq_cell
 import deltaq_protocol.brake
 from deltaq_protocol import topics
 from deltaq_protocol.brake import brake_cycles
-from deltaq_protocol.guarded import Admission, Command, CommandReply, Health, Request, Supervision
+from deltaq_protocol.guarded import Command, CommandReply, Health, Request, Supervision
 from deltaq_protocol.messages import Outcome, Phase, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.receipts import first_receipt, receipt_of
@@ -310,18 +311,8 @@ def test_an_admission_is_bound_to_the_state_it_was_decided_on(rig):
         state = rig.state
         admission, _ = rig.sim.on_request(ask(rig, seq=count, dq=tuple(dq.tolist())))
         assert (admission.topic, admission.robot) == (topics.ADMISSION, "fr")
-        assert admission.message == Admission(
-            robot="fr",
-            epoch=5,
-            sequence=count,
-            cycle=state.cycle,
-            follows_sequence=state.sequence,
-            follows_q_cmd=state.q_cmd,
-            follows_dq=state.dq,
-            follows_resets=state.resets,
-            dq=tuple(dq.tolist()),
-            brake_cycles=brake_cycles(dq, MAX_DV),
-        )
+        expected = admission_after(state, dq, brake_cycles(dq, MAX_DV), epoch=5, sequence=count)
+        assert admission.message == expected
         rig.deliver([admission])
         rig.cycle()
         assert rig.state.sequence == count

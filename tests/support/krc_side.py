@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
+from small_cell import admission_after
 
 from deltaq_cell.find import find_cell, resolve_near
 from deltaq_cell.identity import content_identity
 from deltaq_cell.load import load_cell
 from deltaq_protocol.brake import brake_cycles
-from deltaq_protocol.guarded import Admission, Supervision
+from deltaq_protocol.guarded import Supervision
 from deltaq_protocol.rsi import AxisMap, KrcCodec, KrcReport, load_ethernet_xml
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.rsi_driver import RsiDriver, sensor_codec
@@ -120,19 +121,8 @@ class KrcSide:
 
     def admission(self, increment):
         """An admission that follows what the server does."""
-        state = self.server.state
-        return Admission(
-            robot="fr",
-            epoch=EPOCH,
-            sequence=state.sequence + 1,
-            cycle=state.cycle,
-            follows_sequence=state.sequence,
-            follows_q_cmd=state.q_cmd,
-            follows_dq=state.dq,
-            follows_resets=state.resets,
-            dq=tuple(increment.tolist()),
-            brake_cycles=brake_cycles(increment, FR.max_acceleration * self.cell.cycle_s**2),
-        )
+        cycles = brake_cycles(increment, FR.max_acceleration * self.cell.cycle_s**2)
+        return admission_after(self.server.state, increment, cycles, epoch=EPOCH)
 
     def run_up(self, cycles):
         """Accelerate all joints for some cycles."""

@@ -5,12 +5,15 @@ from __future__ import annotations
 import contextlib
 import random
 import socket
+from collections.abc import Iterable
 from typing import Any
+
+import numpy as np
 
 from deltaq_cell.cell_model import robot_summary
 from deltaq_cell.description import CellDescription
 from deltaq_cell.identity import content_identity
-from deltaq_protocol.guarded import Plan, ServerState
+from deltaq_protocol.guarded import Admission, Plan, ServerState
 from deltaq_protocol.messages import Description, Phase, ToolPose
 
 REVOLUTE = {
@@ -116,3 +119,22 @@ def server_state(
         "inputs": {"closed": True} if robot == "gr" else {},
     }
     return ServerState(**(fields | changes))
+
+
+def admission_after(
+    state: ServerState, increment: Iterable[float], brake_cycles: int, /, **changes: Any
+) -> Admission:
+    """What a gate may admit next to a Robot Server in this state."""
+    fields: dict[str, Any] = {
+        "robot": state.robot,
+        "epoch": state.epoch,
+        "sequence": state.sequence + 1,
+        "cycle": state.cycle,
+        "follows_sequence": state.sequence,
+        "follows_q_cmd": state.q_cmd,
+        "follows_dq": state.dq,
+        "follows_resets": state.resets,
+        "dq": tuple(np.asarray(increment).tolist()),
+        "brake_cycles": brake_cycles,
+    }
+    return Admission(**(fields | changes))
