@@ -44,9 +44,10 @@ def test_each_category_of_the_paper_has_at_least_two_criteria() -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("robot", DATA)
-@pytest.mark.parametrize("criterion", TABLE, ids=lambda criterion: criterion.name)
+@pytest.mark.parametrize("criterion", [one for one in TABLE if one.gradient], ids=lambda one: one.name)
 def test_a_gradient_agrees_with_finite_differences(criterion: Criterion, robot: str) -> None:
-    postures = clear(DATA[robot], 4 if criterion.name == "effective_mass_rate" else 10, seed=1)
+    postures = clear(DATA[robot], 10, seed=1)
+    assert criterion.gradient is not None
     gradient = criterion.gradient(postures)
     scale = max(1e-3, float(np.abs(gradient).max()))
     here = criterion.value(postures)
@@ -133,7 +134,7 @@ def test_a_stretched_arm_is_singular_on_a_robot_that_has_nothing_but_the_arm() -
         value = BY_NAME[name].value(Postures(data, np.vstack([stretched, bent])))
         assert value[0] < 1e-9
         assert value[1] > 1e-2
-    assert np.isfinite(BY_NAME["manipulability"].gradient(Postures(data, stretched))).all()
+    assert np.isfinite(Normalised(data, {"manipulability": 1.0}).gradient(Postures(data, stretched))).all()
 
 
 def test_a_stiffer_joint_bends_less_and_all_in_one_joint_is_the_most_uneven() -> None:

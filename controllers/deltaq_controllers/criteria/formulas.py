@@ -1,9 +1,12 @@
-"""The formulas of the table, each a function of N configurations, and its gradient by the joints.
+"""The formulas of the table, each a function of N configurations whose values are (N,).
 
-Values are (N,), gradients (N, n).
+A cell's description has no torque limits. The torque that gives a joint its described acceleration with the robot at
+home, `M_jj a_j`, stands in: a drive has at least that. Forces and loads are in this measure.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
@@ -11,24 +14,21 @@ from deltaq_controllers.criteria.near_bodies import FAR_M, SOFT_M, PairKind
 from deltaq_controllers.criteria.postures import Postures
 from deltaq_protocol.arrays import Array, Flags
 
+STEP = 1e-5
+"""Step of the central differences: also of those of a value that is itself a derivative [rad or m]."""
+
+
+def slopes(value: Callable[[Postures], Array], postures: Postures) -> Array:
+    """(N, n) derivatives of a value (N,) by the joints, by central differences."""
+    n = postures.q.shape[1]
+    steps = STEP * np.concatenate([np.eye(n), -np.eye(n)])
+    # configuration by configuration: a value may be made of derivatives, and all at once fill the memory
+    rows = [value(Postures(postures.data, q + steps)).reshape(2, n) for q in postures.q]
+    gradient: Array = np.array([(ahead - behind) / (2.0 * STEP) for ahead, behind in rows]).reshape(-1, n)
+    return gradient
+
+
 # Criteria of hands: singular values of their Jacobians, and the hand that counts, which is the worst.
-
-
-def of_worst(values: Array, better: str, each: Array) -> Array:
-    """(N, n) of `each` hand (N, h, n) that of the hand whose value (N, h) is the worst."""
-    worst = values.argmin(axis=1) if better == "more" else values.argmax(axis=1)
-    chosen: Array = each[np.arange(len(each)), worst]
-    return chosen
-
-
-def singular(J: Array, H: Array) -> tuple[Array, Array]:
-    """(N, h, k) singular values of J (N, h, r, n), and their (N, h, k, n) derivatives from H (N, h, r, n, n)."""
-    U, values, Vt = np.linalg.svd(J, full_matrices=False)
-    return values, np.einsum("nhak,nhaji,nhkj->nhki", U, H, Vt, optimize=True)
-
-
-RATE_STEP = 1e-5
-"""Step of the central difference behind the gradient of the rate, which is a second derivative [rad or m]."""
 
 
 def _middle_half(postures: Postures) -> tuple[Array, Array]:
@@ -50,44 +50,28 @@ def travel_gradient(postures: Postures) -> Array:
     return gradient
 
 
-def _room_to_limits(postures: Postures) -> tuple[Array, Array, Array]:
+def limits(postures: Postures) -> Array:
+    """1 with all joints in their middle, growing without bound towards limits."""
     robot = postures.data.robot
     extent = robot.upper - robot.lower
     guard = 1e-6 * extent  # outside the limits the value at the limit stands for all
-    return np.maximum(robot.upper - postures.q, guard), np.maximum(postures.q - robot.lower, guard), extent
-
-
-def limits(postures: Postures) -> Array:
-    """1 with all joints in their middle, growing without bound towards limits."""
-    below, above, extent = _room_to_limits(postures)
+    below, above = np.maximum(robot.upper - postures.q, guard), np.maximum(postures.q - robot.lower, guard)
     value: Array = (extent**2 / (4.0 * below * above)).mean(axis=1)
     return value
 
 
-def limits_gradient(postures: Postures) -> Array:
-    """Of `limits`."""
-    below, above, extent = _room_to_limits(postures)
-    gradient: Array = extent**2 * (above - below) / (4.0 * np.square(below * above)) / postures.q.shape[1]
-    return gradient
-
-
 def speed(postures: Postures) -> Array:
     """Least singular value of J_v D [m/s]."""
-    values = np.linalg.svd(_fast(postures), compute_uv=False)
-    slowest: Array = values[..., -1].min(axis=1)
+    slowest: Array = _values(postures, postures.data.robot.max_velocity)[:, :, -1].min(axis=1)
     return slowest
 
 
-def speed_gradient(postures: Postures) -> Array:
-    """Of `speed`."""
-    D = postures.data.robot.max_velocity
-    values, derivatives = singular(_fast(postures), postures.hessians[:, :, :3] * D[:, None])
-    return of_worst(values[..., -1], "more", derivatives[:, :, -1])
-
-
-def _fast(postures: Postures) -> Array:
-    fast: Array = postures.jacobians[:, :, :3] * postures.data.robot.max_velocity
-    return fast
+def _values(postures: Postures, scale: Array) -> Array:
+    """(N, h, 3) singular values of the linear Jacobians, columns scaled by (n,)."""
+    values: Array = np.asarray(
+        np.linalg.svd(postures.jacobians[:, :, :3] * scale, compute_uv=False), np.float64
+    )
+    return values
 
 
 def manipulability(postures: Postures) -> Array:
@@ -97,29 +81,11 @@ def manipulability(postures: Postures) -> Array:
     return product
 
 
-def manipulability_gradient(postures: Postures) -> Array:
-    """Of `manipulability`."""
-    values, derivatives = singular(postures.jacobians, postures.hessians)
-    count = values.shape[2]
-    # the product of all others, without dividing: a singular value may be zero
-    others = np.stack([np.delete(values, k, axis=2).prod(axis=2) for k in range(count)], axis=2)
-    each = np.einsum("nhk,nhki->nhi", others, derivatives)
-    return of_worst(values.prod(axis=2), "more", each)
-
-
 def condition(postures: Postures) -> Array:
     """Inverse condition number."""
     values = np.linalg.svd(postures.jacobians, compute_uv=False)
     ratio: Array = (values[..., -1] / values[..., 0]).min(axis=1)
     return ratio
-
-
-def condition_gradient(postures: Postures) -> Array:
-    """Of `condition`."""
-    values, derivatives = singular(postures.jacobians, postures.hessians)
-    least, greatest = values[..., -1, None], values[..., 0, None]
-    each = (derivatives[:, :, -1] - least / greatest * derivatives[:, :, 0]) / greatest
-    return of_worst(values[..., -1] / values[..., 0], "more", each)
 
 
 def smallest(postures: Postures) -> Array:
@@ -129,55 +95,19 @@ def smallest(postures: Postures) -> Array:
     return least
 
 
-def smallest_gradient(postures: Postures) -> Array:
-    """Of `smallest`."""
-    values, derivatives = singular(postures.jacobians, postures.hessians)
-    return of_worst(values[..., -1], "more", derivatives[:, :, -1])
-
-
-def _mobility(postures: Postures) -> tuple[Array, Array]:
-    """Per hand M^-1 J_v^T (N, h, n, 3), and the trace of J_v M^-1 J_v^T (N, h)."""
-    Jv = postures.jacobians[:, :, :3]
-    X = np.asarray(np.linalg.solve(postures.masses[:, None], Jv.transpose(0, 1, 3, 2)), dtype=np.float64)
-    return X, np.einsum("nhaj,nhja->nh", Jv, X)
-
-
 def effective_mass(postures: Postures) -> Array:
     """Mass felt at the hand [kg]."""
-    _, trace = _mobility(postures)
-    mass: Array = (3.0 / trace).max(axis=1)
+    Jv = postures.jacobians[:, :, :3]
+    X = np.asarray(np.linalg.solve(postures.masses[:, None], Jv.transpose(0, 1, 3, 2)), dtype=np.float64)
+    mass: Array = (3.0 / np.einsum("nhaj,nhja->nh", Jv, X)).max(axis=1)
     return mass
-
-
-def effective_mass_gradient(postures: Postures) -> Array:
-    """Of `effective_mass`."""
-    X, trace = _mobility(postures)
-    change = 2.0 * np.einsum("nhaji,nhja->nhi", postures.hessians[:, :, :3], X, optimize=True)
-    change -= np.einsum("nhja,njki,nhka->nhi", X, postures.mass_derivatives, X, optimize=True)
-    return of_worst(3.0 / trace, "less", -3.0 / np.square(trace)[..., None] * change)
 
 
 def effective_mass_rate(postures: Postures) -> Array:
     """How fast the effective mass can change [kg/s]."""
-    rate: Array = np.linalg.norm(effective_mass_gradient(postures) * postures.data.robot.max_velocity, axis=1)
+    gradient = slopes(effective_mass, postures)
+    rate: Array = np.linalg.norm(gradient * postures.data.robot.max_velocity, axis=1)
     return rate
-
-
-def effective_mass_rate_gradient(postures: Postures) -> Array:
-    """Of `effective_mass_rate`, by central differences of the analytic gradient."""
-    count, n = postures.q.shape
-    steps = RATE_STEP * np.eye(n)
-    around = np.concatenate([postures.q[:, None] + steps, postures.q[:, None] - steps], axis=1)
-    rates = effective_mass_rate(Postures(postures.data, around.reshape(-1, n))).reshape(count, 2, n)
-    gradient: Array = (rates[:, 0] - rates[:, 1]) / (2.0 * RATE_STEP)
-    return gradient
-
-
-def _shares(postures: Postures) -> tuple[Array, Array]:
-    """Per hand the joints' shares of its deflection (N, h, n), and their derivatives (N, h, n, n) [m/N]."""
-    Jv, Hv = postures.jacobians[:, :, :3], postures.hessians[:, :, :3]
-    k = postures.data.stiffness
-    return np.square(Jv).sum(axis=2) / k, 2.0 * np.einsum("nhaj,nhaji->nhji", Jv, Hv) / k[:, None]
 
 
 def compliance(postures: Postures) -> Array:
@@ -187,23 +117,11 @@ def compliance(postures: Postures) -> Array:
     return value
 
 
-def compliance_gradient(postures: Postures) -> Array:
-    """Of `compliance`."""
-    shares, derivatives = _shares(postures)
-    return of_worst(shares.sum(axis=2), "less", derivatives.sum(axis=2)) / 3.0
-
-
 def potential_partition(postures: Postures) -> Array:
     """How unevenly the joints share the deflection."""
     shares = np.square(postures.jacobians[:, :, :3]).sum(axis=2) / postures.data.stiffness
     value: Array = _unevenness(shares).max(axis=1)
     return value
-
-
-def potential_partition_gradient(postures: Postures) -> Array:
-    """Of `potential_partition`."""
-    shares, derivatives = _shares(postures)
-    return of_worst(_unevenness(shares), "less", _unevenness_gradient(shares, derivatives))
 
 
 def _energies(postures: Postures) -> Array:
@@ -213,33 +131,15 @@ def _energies(postures: Postures) -> Array:
     return energies
 
 
-def _energy_derivatives(postures: Postures) -> Array:
-    """(N, n, n) their derivatives."""
-    diagonal = np.einsum("njji->nji", postures.mass_derivatives)
-    derivatives: Array = 0.5 * diagonal * np.square(postures.data.robot.max_velocity)[:, None]
-    return derivatives
-
-
 def kinetic_energy(postures: Postures) -> Array:
     """Energy at full joint speed [J]."""
     energy: Array = _energies(postures).sum(axis=1)
     return energy
 
 
-def kinetic_energy_gradient(postures: Postures) -> Array:
-    """Of `kinetic_energy`."""
-    gradient: Array = _energy_derivatives(postures).sum(axis=1)
-    return gradient
-
-
 def kinetic_partition(postures: Postures) -> Array:
     """How unevenly the joints share the kinetic energy."""
     return _unevenness(_energies(postures))
-
-
-def kinetic_partition_gradient(postures: Postures) -> Array:
-    """Of `kinetic_partition`."""
-    return _unevenness_gradient(_energies(postures), _energy_derivatives(postures))
 
 
 def _unevenness(shares: Array) -> Array:
@@ -248,13 +148,84 @@ def _unevenness(shares: Array) -> Array:
     return value
 
 
-def _unevenness_gradient(shares: Array, derivatives: Array) -> Array:
-    """Of `sum s^2 / (sum s)^2`, for shares (..., n) with derivatives (..., n, n)."""
-    total = shares.sum(axis=-1)[..., None]
-    squares = np.square(shares).sum(axis=-1)[..., None]
-    change = 2.0 * np.einsum("...j,...ji->...i", shares, derivatives)
-    gradient: Array = change / total**2 - 2.0 * squares / total**3 * derivatives.sum(axis=-2)
-    return gradient
+# Criteria of loads: joint torques and accelerations, how two arms share them, and what a task asks of a hand.
+
+
+def acceleration(postures: Postures) -> Array:
+    """Least singular value of J_v A [m/s^2]."""
+    slowest: Array = _values(postures, postures.data.robot.max_acceleration)[:, :, -1].min(axis=1)
+    return slowest
+
+
+def _shares(postures: Postures) -> Array:
+    """(N, n) gravity's torque at each joint, as a fraction of what the drive has at least."""
+    shares: Array = postures.gravity / postures.data.torques
+    return shares
+
+
+def torque(postures: Postures) -> Array:
+    """Mean square of gravity's torques."""
+    value: Array = np.square(_shares(postures)).mean(axis=1)
+    return value
+
+
+def _own(postures: Postures) -> Flags:
+    """(h, n) the joints that move one hand only."""
+    kinematics = postures.data.kinematics
+    moved = np.array([kinematics.moves[joint] for joint, _, _ in kinematics.hands])
+    own: Flags = moved & (moved.sum(axis=0) == 1)
+    return own
+
+
+def _greatest_share(loads: Array) -> Array:
+    """(N,) the greatest of loads (N, h) as a fraction of them all; where nothing is loaded, all have the same."""
+    total = loads.sum(axis=1)
+    share = np.full(len(loads), 1.0 / loads.shape[1])
+    np.divide(loads.max(axis=1), total, out=share, where=total > 0.0)
+    return share
+
+
+def relative_load(postures: Postures) -> Array:
+    """Greatest fraction that one arm has of the arms' squared gravity torques."""
+    return _greatest_share(np.square(_shares(postures)) @ _own(postures).T)
+
+
+def relative_energy(postures: Postures) -> Array:
+    """Greatest fraction that one arm has of the arms' kinetic energy."""
+    half = 0.5 * np.square(postures.data.robot.max_velocity)
+    return _greatest_share(half * np.einsum("njj->nj", postures.masses) @ _own(postures).T)
+
+
+def _between(of_hands: Array) -> Array:
+    """Of arrays of hands (N, h, ...) the first less the second, or the only one."""
+    between: Array = of_hands[:, 0] - of_hands[:, 1] if of_hands.shape[1] > 1 else of_hands[:, 0]
+    return between
+
+
+def relative_compliance(postures: Postures) -> Array:
+    """Mean deflection of two hands against one another per force [m/N]."""
+    J = _between(postures.jacobians[:, :, :3])
+    value: Array = (np.square(J) / postures.data.stiffness).sum(axis=(1, 2)) / 3.0
+    return value
+
+
+def force(postures: Postures) -> Array:
+    """Force that the hand can exert in its weakest direction [N]."""
+    value: Array = 1.0 / _values(postures, 1.0 / postures.data.torques)[:, :, 0].max(axis=1)
+    return value
+
+
+def deformation(postures: Postures) -> Array:
+    """Deflection of the hand per force in its softest direction [m/N]."""
+    value: Array = np.square(_values(postures, postures.data.stiffness**-0.5)[:, :, 0].max(axis=1))
+    return value
+
+
+def dexterity(postures: Postures) -> Array:
+    """Least over greatest singular value of J_v."""
+    values = _values(postures, np.ones(postures.q.shape[1]))
+    ratio: Array = (values[:, :, -1] / values[:, :, 0]).min(axis=1)
+    return ratio
 
 
 # Clearance to obstacles, to other robots and of the robot from itself, each a criterion of its own.

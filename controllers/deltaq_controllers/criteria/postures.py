@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.batch import BatchKinematics, FrameBatch
@@ -108,74 +107,34 @@ class Postures:
     @cached_property
     def jacobians(self) -> Array:
         """(N, h, 6, n) Jacobian of each hand, linear over angular, world axes."""
-        return np.stack([J for J, _ in self._hands], axis=1)
-
-    @cached_property
-    def hessians(self) -> Array:
-        """(N, h, 6, n, n) derivative of each hand's Jacobian, column j by joint i at `[..., j, i]`."""
-        return np.stack([_hessian(J, self.data.kinematics.moves[joint]) for J, joint in self._hands], axis=1)
+        kinematics, frames = self.data.kinematics, self.frames
+        points = [
+            (joint, frames.position[joint] + frames.rotation[joint] @ place)
+            for joint, _, place in kinematics.hands
+        ]
+        return np.stack([kinematics.jacobian(frames, *point) for point in points], axis=1)
 
     @cached_property
     def masses(self) -> Array:
         """(N, n, n) mass matrix [kg m^2, kg m, kg]: `sum m J_v^T J_v + J_w^T I J_w` over the links, and the drives."""
         total = np.tile(np.diag(self.data.rotors), (len(self), 1, 1))
-        for mass, J, I_world, _ in self._links:
+        for mass, J, I_world in self._links:
             linear, angular = J[:, :3], J[:, 3:]
             total += mass * linear.transpose(0, 2, 1) @ linear
             total += angular.transpose(0, 2, 1) @ I_world @ angular
         return total
 
     @cached_property
-    def mass_derivatives(self) -> Array:
-        """(N, n, n, n) derivative of the mass matrix by joint i at `[..., i]`."""
-        n = self.data.robot.n
-        total = np.zeros((len(self), n, n, n))
-        for mass, J, I_world, joint in self._links:
-            H = _hessian(J, self.data.kinematics.moves[joint])
-            linear, angular = J[:, :3], J[:, 3:]
-            flat = H.reshape(len(self), 6, n * n)
-            turning = angular.transpose(0, 2, 1)
-            half = mass * (linear.transpose(0, 2, 1) @ flat[:, :3]).reshape(-1, n, n, n)
-            half += (turning @ I_world @ flat[:, 3:]).reshape(-1, n, n, n)
-            # dI/dq_i = [w_i]x I - I [w_i]x, symmetric, so half of it on either side of the transposition
-            turned = np.cross(
-                angular.transpose(0, 2, 1)[:, :, None, :], I_world.transpose(0, 2, 1)[:, None], axis=3
-            )
-            by_joint = turning[:, None] @ turned.transpose(0, 1, 3, 2) @ angular[:, None]
-            half += by_joint.transpose(0, 2, 3, 1)
-            total += half + half.transpose(0, 2, 1, 3)
-        return total
-
-    @cached_property
     def gravity(self) -> Array:
         """(N, n) torque or force of gravity against each joint [N m or N]."""
         total = np.zeros_like(self.q)
-        for mass, J, _, _ in self._links:
+        for mass, J, _ in self._links:
             total += GRAVITY_M_S2 * mass * J[:, 2]
         return total
 
     @cached_property
-    def gravity_derivatives(self) -> Array:
-        """(N, n, n) its derivative by joint i at `[..., i]`."""
-        total = np.zeros((*self.q.shape, self.data.robot.n))
-        for mass, J, _, joint in self._links:
-            total += GRAVITY_M_S2 * mass * _hessian(J, self.data.kinematics.moves[joint])[:, 2]
-        return total
-
-    @cached_property
-    def _hands(self) -> list[tuple[Array, int]]:
-        kinematics, frames = self.data.kinematics, self.frames
-        return [
-            (
-                kinematics.jacobian(frames, joint, frames.position[joint] + frames.rotation[joint] @ place),
-                joint,
-            )
-            for joint, _, place in kinematics.hands
-        ]
-
-    @cached_property
-    def _links(self) -> list[tuple[float, Array, Array, int]]:
-        """Of each link with a mass: its mass, Jacobian of its centre, inertia in the world, and its joint."""
+    def _links(self) -> list[tuple[float, Array, Array]]:
+        """Of each link with a mass: its mass, Jacobian of its centre, and inertia in the world."""
         kinematics, frames, links = self.data.kinematics, self.frames, []
         for joint in range(self.data.robot.n):
             mass = float(self.data.masses[joint])
@@ -183,27 +142,5 @@ class Postures:
                 continue
             R = frames.rotation[joint]
             J = kinematics.jacobian(frames, joint, frames.position[joint] + R @ self.data.centres[joint])
-            links.append((mass, J, R @ self.data.inertias[joint] @ R.transpose(0, 2, 1), joint))
+            links.append((mass, J, R @ self.data.inertias[joint] @ R.transpose(0, 2, 1)))
         return links
-
-
-def _hessian(J: Array, moves: NDArray[np.bool_]) -> Array:
-    """(N, 6, n, n) derivative of a Jacobian (N, 6, n) of a point on a chain, column j by joint i at `[..., j, i]`.
-
-    For i at or before j on the chain `d v_j = w_i x v_j`, `d w_j = w_i x w_j`; for i after j `d v_j = w_j x v_i`.
-
-    Args:
-        J: Jacobian, linear over angular, world axes.
-        moves: (n,) which joints are on the chain, from the base outwards.
-    """
-    v, w = J[:, :3].transpose(0, 2, 1), J[:, 3:].transpose(0, 2, 1)
-    count, n = v.shape[0], v.shape[1]
-    H = np.zeros((count, 6, n, n))
-    by_inner = np.cross(w[:, None, :, :], v[:, :, None, :])  # w_i x v_j at [j, i]
-    turns = np.cross(w[:, None, :, :], w[:, :, None, :])
-    inner = np.tril(np.ones((n, n), dtype=np.bool_))  # i <= j at [j, i]
-    by_outer = by_inner.transpose(0, 2, 1, 3)  # w_j x v_i at [j, i]
-    H[:, :3] = np.where(inner[None, :, :, None], by_inner, by_outer).transpose(0, 3, 1, 2)
-    H[:, 3:] = np.where(inner[None, :, :, None], turns, 0.0).transpose(0, 3, 1, 2)
-    chain: Array = H * (moves[:, None] & moves[None, :])
-    return chain

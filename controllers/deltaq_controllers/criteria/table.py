@@ -16,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 
-from deltaq_controllers.criteria import formulas, loads
+from deltaq_controllers.criteria import formulas
 from deltaq_controllers.criteria.postures import Postures, RobotData
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
@@ -46,7 +46,7 @@ class Criterion:
         unit: of its value.
         better: whether less or more of it is better.
         value: (N,) values of N configurations.
-        gradient: (N, n) their derivatives by the joints.
+        gradient: (N, n) their derivatives by the joints; None where differences are quick enough.
         reference: value at which the cost is one half; None takes the median over the robot's workspace.
     """
 
@@ -57,7 +57,7 @@ class Criterion:
     unit: str
     better: Literal["less", "more"]
     value: Callable[[Postures], Array]
-    gradient: Callable[[Postures], Array]
+    gradient: Callable[[Postures], Array] | None = None
     reference: float | None = None
 
 
@@ -72,25 +72,25 @@ TABLE: tuple[Criterion, ...] = (
         "limits", Category.CONSTRAINT,
         "mean over the joints of range^2 / (4 (upper - q) (q - lower))",
         "Chan and Dubey 1995", "1", "less",
-        formulas.limits, formulas.limits_gradient,
+        formulas.limits,
     ),
     Criterion(
         "speed", Category.CONSTRAINT,
         "least singular value of J_v D: the hand's speed in its slowest direction at full joint speed",
         "Van Doren and Tesar, speed availability", "m/s", "more",
-        formulas.speed, formulas.speed_gradient,
+        formulas.speed,
     ),
     Criterion(
         "acceleration", Category.CONSTRAINT,
         "least singular value of J_v A, A the joints' accelerations: the hand's in its slowest direction",
         "Van Doren and Tesar, acceleration availability", "m/s^2", "more",
-        loads.acceleration, loads.acceleration_gradient,
+        formulas.acceleration,
     ),
     Criterion(
         "torque", Category.CONSTRAINT,
         "mean over the joints of (gravity's torque / t_j)^2",
         "Van Doren and Tesar, torque availability", "1", "less",
-        loads.torque, loads.torque_gradient,
+        formulas.torque,
     ),
     Criterion(
         "clearance", Category.CONSTRAINT,
@@ -120,91 +120,91 @@ TABLE: tuple[Criterion, ...] = (
         "manipulability", Category.GEOMETRIC,
         "sqrt(det(J J^T))",
         "Yoshikawa 1985", "m^3", "more",
-        formulas.manipulability, formulas.manipulability_gradient,
+        formulas.manipulability,
     ),
     Criterion(
         "condition", Category.GEOMETRIC,
         "least over greatest singular value of J",
         "Salisbury and Craig 1982", "1", "more",
-        formulas.condition, formulas.condition_gradient,
+        formulas.condition,
     ),
     Criterion(
         "smallest_singular_value", Category.GEOMETRIC,
         "least singular value of J",
         "Klein and Blaho 1987", "m", "more",
-        formulas.smallest, formulas.smallest_gradient,
+        formulas.smallest,
     ),
     Criterion(
         "effective_mass", Category.INERTIAL,
         "3 / tr(J_v M^-1 J_v^T): harmonic mean of the mass felt at the hand over all directions",
         "Khatib 1995", "kg", "less",
-        formulas.effective_mass, formulas.effective_mass_gradient,
+        formulas.effective_mass,
     ),
     Criterion(
         "effective_mass_rate", Category.INERTIAL,
         "norm of D d(effective_mass)/dq: how fast it can change",
         "Van Doren and Tesar, rate of change of inertial criteria", "kg/s", "less",
-        formulas.effective_mass_rate, formulas.effective_mass_rate_gradient,
+        formulas.effective_mass_rate,
     ),
     Criterion(
         "compliance", Category.COMPLIANCE,
         "tr(J_v K^-1 J_v^T) / 3: deflection of the hand per force, mean over all directions",
         "Van Doren and Tesar, potential energy; Salisbury 1980", "m/N", "less",
-        formulas.compliance, formulas.compliance_gradient,
+        formulas.compliance,
     ),
     Criterion(
         "potential_energy_partition", Category.COMPLIANCE,
         "sum of p_j^2 with p_j = s_j / sum s, s_j = |column j of J_v|^2 / k_j: 1/n even, 1 all in one joint",
         "Van Doren and Tesar, potential energy partition values", "1", "less",
-        formulas.potential_partition, formulas.potential_partition_gradient,
+        formulas.potential_partition,
     ),
     Criterion(
         "kinetic_energy", Category.KINETIC_ENERGY,
         "tr(D M D) / 2: energy at full joint speed, mean over the joints' directions",
         "Van Doren and Tesar, kinetic energy content", "J", "less",
-        formulas.kinetic_energy, formulas.kinetic_energy_gradient,
+        formulas.kinetic_energy,
     ),
     Criterion(
         "kinetic_energy_partition", Category.KINETIC_ENERGY,
         "sum of p_j^2 with p_j = s_j / sum s, s_j = M_jj D_j^2 / 2: 1/n even, 1 all in one joint",
         "Van Doren and Tesar, kinetic energy partition values", "1", "less",
-        formulas.kinetic_partition, formulas.kinetic_partition_gradient,
+        formulas.kinetic_partition,
     ),
     Criterion(
         "relative_load", Category.DUAL_ARM,
         "greatest fraction of one arm in the sum of (gravity's torque / t_j)^2 over the arms",
         "Hooper and Noakes, I: relative load", "1", "less",
-        loads.relative_load, loads.relative_load_gradient,
+        formulas.relative_load,
     ),
     Criterion(
         "relative_energy", Category.DUAL_ARM,
         "greatest fraction of one arm in the sum of M_jj D_j^2 / 2 over the arms",
         "Hooper and Noakes, I: energy", "1", "less",
-        loads.relative_energy, loads.relative_energy_gradient,
+        formulas.relative_energy,
     ),
     Criterion(
         "relative_compliance", Category.DUAL_ARM,
         "tr(J_r K^-1 J_r^T) / 3, J_r = J_v of one hand less that of the other: their deflection against each other",
         "Hooper and Noakes, I: compliance", "m/N", "less",
-        loads.relative_compliance, loads.relative_compliance_gradient,
+        formulas.relative_compliance,
     ),
     Criterion(
         "force", Category.TASK,
         "1 / greatest singular value of J_v diag(1 / t_j): force in the weakest direction",
         "Hooper and Noakes, I: force; Chiu 1988", "N", "more",
-        loads.force, loads.force_gradient,
+        formulas.force,
     ),
     Criterion(
         "deformation", Category.TASK,
         "greatest singular value of J_v K^-1 J_v^T: deflection per force in the softest direction",
         "Hooper and Noakes, I: deformation", "m/N", "less",
-        loads.deformation, loads.deformation_gradient,
+        formulas.deformation,
     ),
     Criterion(
         "dexterity", Category.TASK,
         "least over greatest singular value of J_v",
         "Hooper and Noakes, I: dexterity; Salisbury and Craig 1982", "1", "more",
-        loads.dexterity, loads.dexterity_gradient,
+        formulas.dexterity,
     ),
 )  # fmt: skip
 """All criteria."""
@@ -285,10 +285,18 @@ class Normalised:
 
     def gradient(self, postures: Postures) -> Array:
         """(N, n) derivative of the weighted sum by the joints."""
-        gradient = np.zeros_like(postures.q)
+        gradient, others = np.zeros_like(postures.q), []
         for criterion, weight, scale in zip(self.criteria, self.weights, self.references, strict=True):
+            if criterion.gradient is None:
+                others.append((criterion, weight, scale))
+                continue
             slope = _slope(criterion, scale, criterion.value(postures))
             gradient += weight * slope[:, None] * criterion.gradient(postures)
+        if others:
+            gradient += formulas.slopes(
+                lambda at: sum(weight * cost(one, scale, one.value(at)) for one, weight, scale in others),
+                postures,
+            )
         return gradient
 
 
