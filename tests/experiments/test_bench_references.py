@@ -1,9 +1,10 @@
-"""The references of the benchmark: real processes on bare sockets, in C and in Python, and what goes wrong."""
+"""The references of the benchmark: real processes on bare sockets, and what goes wrong."""
 
 from __future__ import annotations
 
 import os
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -17,33 +18,33 @@ import pytest
 from deltaq_deploy.launch.launcher import Launcher
 from deltaq_deploy.launch.program import LaunchError
 from deltaq_deploy.launch.services import Role, Service
-from deltaq_experiments.bench.asker import frame, framed
 from deltaq_experiments.bench.hop_reference import HopReferenceError, hop_reference, processor_seconds
 from deltaq_experiments.bench.live import _processor, _wait
 from deltaq_experiments.bench.native import CompilerError, program
 from deltaq_experiments.live import LastLines
 
-COMPILERS = pytest.mark.parametrize("compiler", [None, "no-such-compiler"])
 
-
-def test_a_compiler_that_fails_is_told_with_what_it_said(tmp_path: Path) -> None:
+def test_a_compiler_that_fails_is_told_with_what_it_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     broken = tmp_path / "cc"
     broken.write_text("#!/bin/sh\necho out of memory >&2\nexit 1\n", encoding="utf-8")
     broken.chmod(0o755)
+    monkeypatch.setenv("CC", str(broken))
     with pytest.raises(CompilerError, match="out of memory"):
-        program("hops", tmp_path, str(broken))
+        program("hops", tmp_path)
 
 
-def test_without_a_compiler_the_reference_is_in_python(tmp_path: Path) -> None:
-    assert program("hops", tmp_path, "no-such-compiler").language == "Python"
+def test_without_a_compiler_one_is_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CC", "no-such-compiler")
+    with pytest.raises(CompilerError, match=r"no compiler 'no-such-compiler': install one, or name it in CC"):
+        program("hops", tmp_path)
 
 
-@pytest.mark.by_day(1)
 @pytest.mark.long
-@COMPILERS
-def test_a_message_passes_five_hops_in_their_order(tmp_path: Path, compiler: str | None) -> None:
+def test_a_message_passes_five_hops_in_their_order(tmp_path: Path) -> None:
     begin_ns = time.monotonic_ns()
-    with hop_reference(0.004, 0.2, tmp_path, compiler) as reference:
+    with hop_reference(0.004, 0.2, tmp_path) as reference:
         assert reference.processor_s() >= 0.0
         times = reference.times(begin_ns, begin_ns + 10**12)
     back = times.rows[times.rows[:, -1] > 0]
@@ -58,11 +59,8 @@ def test_of_the_reference_only_the_window_counts(tmp_path: Path) -> None:
         assert len(reference.times(0, 1).rows) == 0
 
 
-@COMPILERS
-def test_a_reference_that_is_killed_is_an_error_and_leaves_no_process(
-    tmp_path: Path, compiler: str | None
-) -> None:
-    with hop_reference(0.004, 60.0, tmp_path, compiler) as reference:
+def test_a_reference_that_is_killed_is_an_error_and_leaves_no_process(tmp_path: Path) -> None:
+    with hop_reference(0.004, 60.0, tmp_path) as reference:
         reference.process.kill()
         with pytest.raises(HopReferenceError, match="ended with -9"):
             reference.times(0, 1)
@@ -77,16 +75,7 @@ def test_a_reference_that_cannot_write_its_file_is_an_error(tmp_path: Path) -> N
         reference.times(0, 1)
 
 
-def test_datagrams_keep_their_bounds_in_a_file() -> None:
-    datagrams = [b"", b"<Rob/>", bytes(range(256))]
-    assert list(framed(frame(datagrams))) == datagrams
-
-
-@pytest.mark.by_day(1)
-@COMPILERS
-def test_the_asker_times_a_server_and_its_own_echo_and_notes_who_is_silent(
-    tmp_path: Path, compiler: str | None
-) -> None:
+def test_the_asker_times_a_server_and_its_own_echo_and_notes_who_is_silent(tmp_path: Path) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
         server.bind(("127.0.0.1", 0))
         server.settimeout(5.0)
@@ -102,9 +91,10 @@ def test_the_asker_times_a_server_and_its_own_echo_and_notes_who_is_silent(
         answering = threading.Thread(target=answer_the_second_half)
         answering.start()
         telegrams, took = tmp_path / "telegrams", tmp_path / "took"
-        telegrams.write_bytes(frame([b"telegram %d" % number for number in range(50)]))
+        sent = [b"telegram %d" % number for number in range(50)]
+        telegrams.write_bytes(b"".join(struct.pack("=I", len(one)) + one for one in sent))
         port = server.getsockname()[1]
-        command = [*program("asker", tmp_path, compiler).command, "20000000", "127.0.0.1", f"{port}"]
+        command = [*program("asker", tmp_path).command, "20000000", "127.0.0.1", f"{port}"]
         subprocess.run([*command, str(telegrams), str(took)], check=True, timeout=300)
         answering.join()
     server_ns, echo_ns = np.fromfile(took, dtype="=i8").reshape(-1, 2).T

@@ -11,12 +11,11 @@ import msgpack
 import pytest
 
 from deltaq_experiments.bench import cornered
-from deltaq_experiments.bench.codecs import messages_of_a_cycle
 from deltaq_experiments.bench.cornered import CorneredError, store, stored
 from deltaq_experiments.bench.decisions import near_obstacles
 from deltaq_experiments.bench.rsi_reply import standing_telegrams
 from deltaq_experiments.bench.table import BenchRow, BenchTable
-from deltaq_protocol.codec import InvalidMessageError, pack, unpack
+from deltaq_protocol.codec import InvalidMessageError
 from deltaq_protocol.messages import Outcome, Verdict
 from deltaq_services.robot_server.rsi_driver import sensor_codec
 from deltaq_services.sim.core import Sim
@@ -111,16 +110,6 @@ def test_the_slowest_decisions_of_a_run_are_found_and_can_be_made_again(lab: Loa
     assert "3 stored situations" in row.what
     assert "1495 pairs" in row.reference
     assert row.longest_at_most == 2.0
-
-
-def test_the_messages_of_a_cycle_are_those_of_a_robot_in_motion(lab: LoadedCell) -> None:
-    known = messages_of_a_cycle(lab, "fr")
-    assert len({type(message) for message in known}) == len(known) == 7
-    for message in known:
-        assert unpack(type(message), pack(message)) == message
-    [verdict] = [message for message in known if isinstance(message, Verdict)]
-    assert verdict.outcome is Outcome.ADMITTED
-    assert any(verdict.dq)
 
 
 def test_a_standing_krc_sends_telegrams_that_its_robot_server_reads() -> None:

@@ -26,7 +26,7 @@ BRAKED = CycleOutcome.BRAKED
 
 
 def hop_times(rows: list[list[int]], cycle_s: float = 0.012) -> HopTimes:
-    return HopTimes("C", cycle_s, np.array(rows, dtype=np.int64).reshape(-1, 6))
+    return HopTimes(cycle_s, np.array(rows, dtype=np.int64).reshape(-1, 6))
 
 
 def even_hops(count: int) -> HopTimes:

@@ -394,8 +394,7 @@ def show_run(run: LiveRun, number: int) -> None:
         )
         for row in run.rows
     ]
-    reference = f"{run.reference['language']}, same hops"
-    print_table(f"run {number}: figures", ("what", "here", reference, "ratio", "bound", ""), figures)
+    print_table(f"run {number}: figures", ("what", "here", "C, same hops", "ratio", "bound", ""), figures)
     for process in run.silent:
         print(f"{process} left no stamps: its stations are missing")
     if run.overwritten:

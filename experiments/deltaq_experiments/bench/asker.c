@@ -4,7 +4,7 @@
  *     asker CYCLE_NS ADDRESS PORT TELEGRAMS FILE
  *
  * TELEGRAMS holds datagrams, each behind its length in 32 bits. FILE gets two 64-bit numbers a telegram: how long the
- * Robot Server took for it, and the echo [ns]; -1 where no answer came before its next turn. asker.py does the same.
+ * Robot Server took for it, and the echo [ns]; -1 where no answer came before its next turn.
  */
 #define _GNU_SOURCE
 #include <arpa/inet.h>

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_experiments.bench.native import NativeProgram, program
+from deltaq_experiments.bench.native import program
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.stamps import StampStation
 
@@ -110,12 +110,10 @@ class HopTimes:
     """What the reference measured.
 
     Attributes:
-        language: that it is written in, for people.
         cycle_s: its messages were sent once in this time [s].
         rows: (n, 6) when each message was sent, and when each hop had it; 0 where it did not come back [ns].
     """
 
-    language: str
     cycle_s: float
     rows: NDArray[np.int64]
 
@@ -150,13 +148,13 @@ class HopReference:
         folder: for its file.
     """
 
-    def __init__(self, made: NativeProgram, cycle_s: float, duration_s: float, folder: Path) -> None:
-        self._made, self._cycle_s = made, cycle_s
+    def __init__(self, made: str, cycle_s: float, duration_s: float, folder: Path) -> None:
+        self._cycle_s = cycle_s
         self._length_s = duration_s + _LONGER_S
         self._file = folder / "hops.bin"
         cycles = max(1, math.floor(self._length_s / cycle_s))
         arguments = (f"{round(cycle_s * 1e9)}", f"{cycles}", f"{MESSAGE_BYTES}", f"{self._file}")
-        self.process = subprocess.Popen([*made.command, *arguments], stderr=subprocess.PIPE, text=True)
+        self.process = subprocess.Popen([made, *arguments], stderr=subprocess.PIPE, text=True)
 
     def processor_s(self) -> float:
         """Processor time of all its processes so far, while they run [s]."""
@@ -178,22 +176,19 @@ class HopReference:
             )
         rows = np.fromfile(self._file, dtype="=i8").astype(np.int64).reshape(-1, _STAMPS)
         within = (rows[:, 0] >= begin_ns) & (rows[:, 0] < end_ns)
-        return HopTimes(self._made.language, self._cycle_s, rows[within])
+        return HopTimes(self._cycle_s, rows[within])
 
 
 @contextmanager
-def hop_reference(
-    cycle_s: float, duration_s: float, folder: Path, compiler: str | None = None
-) -> Iterator[HopReference]:
+def hop_reference(cycle_s: float, duration_s: float, folder: Path) -> Iterator[HopReference]:
     """Start the reference; it is killed if the block is left before it has ended.
 
     Args:
         cycle_s: a message is sent once in this time [s].
         duration_s: how long [s].
         folder: for its files.
-        compiler: see `native.program`.
     """
-    reference = HopReference(program("hops", folder, compiler), cycle_s, duration_s, folder)
+    reference = HopReference(program("hops", folder), cycle_s, duration_s, folder)
     try:
         yield reference
     finally:

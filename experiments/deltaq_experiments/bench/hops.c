@@ -4,7 +4,7 @@
  *     hops CYCLE_NS CYCLES BYTES FILE
  *
  * FILE gets six 64-bit numbers a cycle: when the message was sent, and when each of the five hops had it; of
- * CLOCK_MONOTONIC [ns], 0 where the message did not come back before the end. hops.py does the same without a compiler.
+ * CLOCK_MONOTONIC [ns], 0 where the message did not come back before the end.
  */
 #define _GNU_SOURCE
 #include <errno.h>

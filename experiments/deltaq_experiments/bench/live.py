@@ -41,14 +41,12 @@ class LiveOptions:
         follower: camera controller of the follower.
         warm_up_s: from the first increments to the window that is measured [s].
         duration_s: of the window [s].
-        compiler: of the reference, see `native.program`.
     """
 
     cell: str
     follower: str
     warm_up_s: float
     duration_s: float
-    compiler: str | None = None
 
 
 class LiveRun(BaseModel):
@@ -57,7 +55,7 @@ class LiveRun(BaseModel):
     Attributes:
         robots: by name.
         processor_us: processor time of each process in a cycle [µs].
-        reference: language of the reference, cycles, and what share of its messages were back within theirs.
+        reference: its cycles, and what share of its messages were back within theirs.
         rows: what is promised, and what is compared.
         silent: processes that left no stamps, so that their stations are missing.
         overwritten: stamps that were lost because a ring was full.
@@ -67,7 +65,7 @@ class LiveRun(BaseModel):
 
     robots: dict[str, RobotFigures]
     processor_us: dict[str, float]
-    reference: dict[str, float | str]
+    reference: dict[str, float]
     rows: tuple[LiveRow, ...]
     silent: tuple[str, ...]
     overwritten: int
@@ -125,7 +123,7 @@ def _run(
         launcher.start()
         wait = partial(_wait, launcher, lines, time.monotonic(), on_time)
         wait(options.warm_up_s)
-        with hop_reference(cell.cycle_s, options.duration_s, folder, options.compiler) as reference:
+        with hop_reference(cell.cycle_s, options.duration_s, folder) as reference:
             begin_ns = time.monotonic_ns()
             machine_before = machine_time()
             before, reference_before = _processor(launcher, wait), reference.processor_s()
@@ -184,7 +182,6 @@ def _figures(
         robots=robots,
         processor_us=processor_us,
         reference={
-            "language": reference.language,
             "cycles": len(reference.rows),
             "in_time": reference.in_time,
             "processor_us": reference_us,

@@ -5,13 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from deltaq_experiments.bench.codecs import messages, telegrams
 from deltaq_experiments.bench.decisions import near_obstacles, tracking
-from deltaq_experiments.bench.rsi_reply import CELL, ROBOT, rsi_reply
+from deltaq_experiments.bench.rsi_reply import rsi_reply
 from deltaq_experiments.bench.table import BenchTable
-from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
-
-CODEC_PASSES = 2000
 
 
 def run(
@@ -25,12 +21,9 @@ def run(
         cycles: cycles of tracking.
         on_cycle: called with the number of cycles done and the number of all.
     """
-    loaded = LoadedCell.load(CELL)
     return BenchTable(
         rows=(
             rsi_reply(),
-            telegrams(loaded, ROBOT, CODEC_PASSES),
-            messages(loaded, ROBOT, CODEC_PASSES),
             tracking(cell_name, cycles, on_cycle or (lambda _done, _of: None)),
             near_obstacles(),
         )

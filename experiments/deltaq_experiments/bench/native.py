@@ -1,12 +1,10 @@
-"""References in C, compiled where there is a compiler; else the same in Python."""
+"""References in C, compiled for the run."""
 
 from __future__ import annotations
 
 import os
 import shutil
 import subprocess
-import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 from deltaq_protocol.errors import DeltaqError
@@ -15,39 +13,28 @@ _HERE = Path(__file__).parent
 
 
 class CompilerError(DeltaqError):
-    """A C compiler that is there, and fails."""
+    """A C compiler that is not there, or fails."""
 
 
-@dataclass(frozen=True)
-class NativeProgram:
-    """A program to be run.
-
-    Attributes:
-        command: it and the arguments that it always has.
-        language: that it is written in, for people.
-    """
-
-    command: tuple[str, ...]
-    language: str
-
-
-def program(name: str, folder: Path, compiler: str | None = None) -> NativeProgram:
-    """`NAME.c` of this folder, or `NAME.py` where there is no compiler.
+def program(name: str, folder: Path) -> str:
+    """The program of `NAME.c` of this folder, made by the compiler that CC names, or by `cc`.
 
     Args:
         name: of the program.
         folder: for what is compiled.
-        compiler: to be used; None for the one that CC names, or `cc`.
 
     Raises:
-        CompilerError: if the compiler cannot compile it.
+        CompilerError: if there is no compiler, or it cannot compile it.
     """
-    found = shutil.which(compiler or os.environ.get("CC") or "cc")
+    compiler = os.environ.get("CC") or "cc"
+    found = shutil.which(compiler)
     if found is None:
-        return NativeProgram((sys.executable, "-m", f"{__package__}.{name}"), "Python")
+        raise CompilerError(
+            f"the reference is a C program, and there is no compiler {compiler!r}: install one, or name it in CC"
+        )
     made = folder / name
     command = [found, "-std=gnu11", "-O2", "-o", str(made), str(_HERE / f"{name}.c")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise CompilerError(f"{' '.join(command)} failed:\n{done.stderr.strip()}")
-    return NativeProgram((str(made),), "C")
+    return str(made)

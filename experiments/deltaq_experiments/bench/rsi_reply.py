@@ -7,6 +7,7 @@ the gate; since its robot stands and is not ready, it decodes the admission and 
 from __future__ import annotations
 
 import os
+import struct
 import subprocess
 import tempfile
 from collections.abc import Iterator
@@ -20,7 +21,6 @@ from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_cell.identity import content_identity
 from deltaq_deploy.launch.launcher import Launcher
 from deltaq_deploy.launch.services import cell_services, one
-from deltaq_experiments.bench.asker import frame
 from deltaq_experiments.bench.native import program
 from deltaq_experiments.bench.table import BenchRow
 from deltaq_protocol import topics
@@ -67,12 +67,11 @@ class RsiReplyError(DeltaqError):
     """The Robot Server could not be measured."""
 
 
-def rsi_reply(cycles: int = CYCLES, compiler: str | None = None) -> BenchRow:
+def rsi_reply(cycles: int = CYCLES) -> BenchRow:
     """Time from a telegram to its reply.
 
     Args:
         cycles: telegrams that are timed.
-        compiler: of the reference, see `native.program`.
 
     Raises:
         LaunchError: if the Robot Server does not come up.
@@ -80,13 +79,14 @@ def rsi_reply(cycles: int = CYCLES, compiler: str | None = None) -> BenchRow:
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        made = program("asker", folder, compiler)
+        made = program("asker", folder)
         loaded = LoadedCell.load(_private(folder))
         cell, cycle_s = loaded.model.description, loaded.model.description.cycle_s
         driver = cell.robots[ROBOT].driver
         assert driver.kind == "rsi"  # the shipped cell's
         telegrams, file = folder / "telegrams", folder / "took"
-        telegrams.write_bytes(frame(standing_telegrams(loaded, ROBOT, cycles + _LEFT_OUT)))
+        sent = standing_telegrams(loaded, ROBOT, cycles + _LEFT_OUT)
+        telegrams.write_bytes(b"".join(struct.pack("=I", len(one)) + one for one in sent))
         service = one(cell_services(cell, str(loaded.file)), f"robot-server-{ROBOT}")
         arguments = (f"{round(cycle_s * 1e9)}", driver.address, f"{driver.port}", f"{telegrams}", f"{file}")
         with ExitStack() as stack:
@@ -95,7 +95,7 @@ def rsi_reply(cycles: int = CYCLES, compiler: str | None = None) -> BenchRow:
                 launcher.start()
             stack.enter_context(_gate(cell))
             with _on_one_core():
-                asker = subprocess.Popen([*made.command, *arguments], stderr=subprocess.PIPE, text=True)
+                asker = subprocess.Popen([made, *arguments], stderr=subprocess.PIPE, text=True)
             try:
                 _, said = asker.communicate(timeout=(cycles + _LEFT_OUT) * cycle_s + _LONGER_S)
             except subprocess.TimeoutExpired as error:
@@ -111,7 +111,7 @@ def rsi_reply(cycles: int = CYCLES, compiler: str | None = None) -> BenchRow:
         raise RsiReplyError(f"of {cycles} telegrams {len(server)} were answered, {len(echo)} by the echo")
     return BenchRow.of(
         f"an RSI reply, {len(cell.robots[ROBOT].joints)} axes at {cycle_s * 1e3:g} ms, one core",
-        f"an echo of the same bytes in {made.language}",
+        "an echo of the same bytes in C",
         server,
         echo,
         no_bound_because="a KRC waits as long as a cycle",
