@@ -94,8 +94,8 @@ def test_the_asker_times_a_server_and_its_own_echo_and_notes_who_is_silent(tmp_p
         sent = [b"telegram %d" % number for number in range(50)]
         telegrams.write_bytes(b"".join(struct.pack("=I", len(one)) + one for one in sent))
         port = server.getsockname()[1]
-        command = [*program("asker", tmp_path).command, "20000000", "127.0.0.1", f"{port}"]
-        subprocess.run([*command, str(telegrams), str(took)], check=True, timeout=300)
+        command = [program("asker", tmp_path), "20000000", "127.0.0.1", f"{port}", str(telegrams), str(took)]
+        subprocess.run(command, check=True, timeout=300)
         answering.join()
     server_ns, echo_ns = np.fromfile(took, dtype="=i8").reshape(-1, 2).T
     assert len(server_ns) == 50
