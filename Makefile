@@ -33,7 +33,7 @@ help: ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
 
 install: $(USERS) ## make .venv, install what a user needs, and compile what the first start would
-	@$(MAKE) --no-print-directory --jobs=2 $(COMPILED) LAWS=paper INSTALLED=$(USERS)
+	@$(MAKE) --no-print-directory --jobs=2 $(COMPILED) LAWS=qp INSTALLED=$(USERS)
 
 # what is imported is compiled then: all modules of all packages take a minute. uv takes a sixth of pip's time; pip
 # installs where packages come from an index that only pip was told about

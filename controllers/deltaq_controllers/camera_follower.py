@@ -21,7 +21,7 @@ from deltaq_controllers.camera import FOLLOWS
 from deltaq_controllers.camera.controllers import NAMES, FocusController, camera_controller_named
 from deltaq_controllers.camera.in_use import CameraInUse
 from deltaq_controllers.camera.outlook import Outlook
-from deltaq_controllers.camera.scene import TOOL, Scene
+from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import ControllerError, HeldBack, LastIncrement, RobotView, View
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.live import ControlStatistics, ErrorStatistics, cell_model, drive, run
@@ -30,6 +30,7 @@ from deltaq_protocol import connect
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import DEFAULT_ADDRESS
 from deltaq_protocol.messages import Sight, ViewTarget
+from deltaq_protocol.messages.motion import AIM_M
 
 # What an experiment adds to a camera controller: a start configuration, and a sequence of view distances.
 #
@@ -291,8 +292,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--aim-offset-m",
         type=float,
         nargs=3,
-        default=TOOL,
-        help="point of the leader's tool to look at, in the tool's frame (default: its origin)",
+        default=AIM_M,
+        help="point of the leader's tool to look at, in the tool's frame (default: %(default)s)",
     )
     parser.add_argument(
         "--start", type=float, nargs="+", help="joints to go to first, rad or m (default: where it stands)"

@@ -6,7 +6,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
+from deltaq_controllers.camera import FOLLOWS
 from deltaq_controllers.leader.scripted import STICK_ACCELERATION_M_S2
+from deltaq_protocol.messages.motion import AIM_M
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,7 @@ class Options:
     """
 
     cell: str | Path = "lab"
-    controller: str = "paper"
+    controller: str = FOLLOWS
     robot: str | None = None
     leader: str | None = None
     leader_speed_m_s: float = 0.25
@@ -44,7 +46,7 @@ class Options:
     settle_s: float = 5.0
     live: bool = False
     target: str = "lens"
-    aim_offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    aim_offset_m: tuple[float, float, float] = AIM_M
     gated: bool = True
     record: Path | None = None
 

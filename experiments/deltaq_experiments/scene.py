@@ -9,12 +9,14 @@ import numpy as np
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.roles import camera_roles
+from deltaq_controllers.camera import FOLLOWS
 from deltaq_controllers.camera.controllers import FocusController, camera_controller_named
-from deltaq_controllers.camera.scene import TOOL, Scene
+from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.surroundings.setpoints import lag_s
 from deltaq_experiments.options import Options
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.messages.motion import AIM_M
 from deltaq_testing.oracle import ClearanceOracle
 
 VIEW_DISTANCE_M = 1.25
@@ -48,7 +50,7 @@ def scene_of(cell: CellModel, options: Options | None = None) -> Scene:
 
 
 def camera_controller(
-    scene: Scene, name: str = "paper", distance_m: float = VIEW_DISTANCE_M, focus: Array | None = None
+    scene: Scene, name: str = FOLLOWS, distance_m: float = VIEW_DISTANCE_M, focus: Array | None = None
 ) -> FocusController:
     """The camera controller of that name, looking at a point of the leader's tool or at a fixed point.
 
@@ -60,7 +62,7 @@ def camera_controller(
 
 def aim_arguments(options: Options) -> list[str]:
     """Arguments of `deltaq_controllers.camera_follower` that say what is looked at."""
-    if options.aim_offset_m == TOOL:
+    if options.aim_offset_m == AIM_M:
         return []
     return ["--aim-offset-m", *(f"{part:g}" for part in options.aim_offset_m)]
 

@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from deltaq_protocol.messages import ToolPose, Vector3, ViewTarget
+from deltaq_protocol.messages.motion import AIM_M
 
 
 def focus_of(target: ViewTarget, T_world_tool: ToolPose | None) -> Vector3 | None:
@@ -17,9 +18,9 @@ def focus_of(target: ViewTarget, T_world_tool: ToolPose | None) -> Vector3 | Non
     """
     if target.focus_m is not None:
         return target.focus_m
-    if T_world_tool is None or target.aim_offset_m is None:
-        return None if T_world_tool is None else T_world_tool.position
+    if T_world_tool is None:
+        return None
     w, x, y, z = T_world_tool.quaternion_wxyz
     placed = pin.XYZQUATToSE3(np.array([*T_world_tool.position, x, y, z, w]))
-    x, y, z = placed.act(np.array(target.aim_offset_m)).tolist()
+    x, y, z = placed.act(np.array(target.aim_offset_m or AIM_M)).tolist()
     return x, y, z

@@ -18,6 +18,7 @@ from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import RobotView, View
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Sight, ViewTarget, ViewWish
+from deltaq_protocol.messages.motion import AIM_M, TargetPoint
 
 AIDE_HOME = np.deg2rad([60.0, -80.0, 90.0, 0.0, 30.0, 0.0])
 
@@ -76,7 +77,7 @@ class Loop:
         distance = float(np.linalg.norm(way))
         return float(np.rad2deg(np.arccos(np.clip(T[:3, 2] @ way / distance, -1.0, 1.0)))), distance
 
-    def tool(self, leader: str, offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Array:
+    def tool(self, leader: str, offset_m: TargetPoint = AIM_M) -> Array:
         return Scene(three(), "fr", leader, offset_m).focus_at(self.others[leader])
 
     def _seen(self, q: Array) -> RobotView:
@@ -145,7 +146,8 @@ def curtained(size_m: tuple[float, float, float] = (3.0, 0.1, 2.0)) -> CellModel
     return CellModel.of(cell.description.model_copy(update={"structure": structure}), cell.robots)
 
 
-GR, AIDE = ViewTarget(leader="gr"), ViewTarget(leader="aide")
+BEFORE_ITS_LENSES_M = (0.0, 0.0, 0.1)
+GR, AIDE = ViewTarget(leader="gr"), ViewTarget(leader="aide", aim_offset_m=BEFORE_ITS_LENSES_M)
 BOTH = ViewWish(distance_m=1.25, targets=(GR, AIDE))
 
 
@@ -165,7 +167,7 @@ def test_a_target_that_is_hidden_is_left_for_the_next_and_returned_to_without_a_
     assert loop.camera.target == GR, "an arm that passes by is waited for"
     loop.run(3.5, BOTH)
     assert loop.camera.target == AIDE
-    assert loop.looks_at(loop.tool("aide"))[0] < 1.0
+    assert loop.looks_at(loop.tool("aide", BEFORE_ITS_LENSES_M))[0] < 1.0
     loop.curtain.open = True
     loop.run(3.5, BOTH)
     assert loop.camera.target == GR
@@ -218,7 +220,7 @@ def test_another_distance_does_not_make_the_camera_look_elsewhere() -> None:
 
 
 def test_after_several_targets_a_robot_is_looked_at_where_the_follower_was_started_to() -> None:
-    offset_m = (0.0, 0.0, 0.04)
+    offset_m = (0.0, 0.0, 0.08)
     camera = camera_controller_named("qp", Scene(lab(), "fr", "gr", offset_m), 1.25)
     in_use = CameraInUse({"gr": camera}, "gr", Outlook(lab(), "fr"))
     in_use.take(ViewWish(targets=(ViewTarget(focus_m=(0.0, -0.8, 1.2)), GR)))

@@ -14,16 +14,17 @@ from deltaq_controllers.camera.outlook import VisibilityGauge
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import RobotView, View
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.messages.motion import AIM_M, TargetPoint
 
 
 class Standing:
     """A follower in plain kinematics whose leader stands at home."""
 
     def __init__(
-        self, name: str, cell: CellModel, focus: Array | None = None, offset_m=(0.0, 0.0, 0.0)
+        self, name: str, cell: CellModel, focus: Array | None = None, offset_m: TargetPoint = AIM_M
     ) -> None:
         self.cell, self.q_leader = cell, np.array(cell.robots["gr"].home)
-        scene = Scene(cell, "fr", "gr")
+        scene = Scene(cell, "fr", "gr", offset_m)
         self.focus = scene.focus_at(self.q_leader) if focus is None else focus
         self.camera = camera_controller_named(name, scene, 1.25, focus)
         self.q, self.dq = np.array(cell.robots["fr"].home), np.zeros(6)
@@ -45,7 +46,7 @@ class Standing:
 
 
 def test_the_lens_moves_until_both_eyes_see_between_the_fingers_and_keeps_angle_and_distance() -> None:
-    qp, clear = Standing("qp", lab()).run(4.0), Standing("clear-view", lab()).run(4.0)
+    qp, clear = (Standing(name, lab(), offset_m=(0.0, 0.0, 0.0)).run(4.0) for name in ("qp", "clear-view"))
     assert qp.eyes_seeing == 0
     assert clear.eyes_seeing == 2
     angle, distance = clear.camera.errors(clear.q, clear.q_leader)

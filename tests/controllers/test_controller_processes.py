@@ -158,7 +158,7 @@ def test_the_camera_follows_the_leader_over_real_processes_and_both_end_when_tol
         for process in (leader, follower):
             process.kill()
             process.communicate()
-    assert followed["controller"] == "paper"
+    assert followed["controller"] == "qp"
     assert led["controller"] == "leader"
     assert led["robot"] == "gr", "the one that the cell's camera watches"
     for summary in (followed, led):

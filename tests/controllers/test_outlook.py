@@ -29,8 +29,9 @@ def fixed(point: Array) -> ViewTarget:
     return ViewTarget(focus_m=focus_m)
 
 
-def test_a_hand_does_not_hide_itself_but_a_board_does() -> None:
-    assert hidden_by(ViewTarget(leader="gr")) == (), "its finger is before the point between the fingers"
+def test_a_finger_hides_what_is_between_the_fingers_and_a_board_what_is_before_them() -> None:
+    assert hidden_by(ViewTarget(leader="gr", aim_offset_m=(0.0, 0.0, 0.0))) == ("gr/tool_finger_1",)
+    assert hidden_by(ViewTarget(leader="gr")) == ()
     lens = lab().robots["fr"].camera_pose(lab().robots["fr"].home)[:3, 3]
     way = lab().robots["gr"].forward(lab().robots["gr"].home)[:3, 3] - lens
     assert hidden_by(ViewTarget(leader="gr"), with_wall("board", (0.2,) * 3, lens + 0.5 * way)) == (

@@ -39,8 +39,8 @@ def look(target: Array, cell: CellModel | None = None) -> Visibility:
 
 
 def test_the_leaders_own_finger_hides_what_is_between_its_fingers() -> None:
-    between = Scene(lab(), "fr", "gr").focus_at(HOME["gr"])
-    before = Scene(lab(), "fr", "gr", (0.0, 0.0, 0.04)).focus_at(HOME["gr"])
+    between = Scene(lab(), "fr", "gr", (0.0, 0.0, 0.0)).focus_at(HOME["gr"])
+    before = Scene(lab(), "fr", "gr").focus_at(HOME["gr"])
     assert look(between).in_picture == (True, True)
     assert look(between).blocked_by == (("gr/tool_finger_1",), ("gr/tool_finger_1",))
     assert look(between).eyes_seeing == 0

@@ -18,10 +18,11 @@ from deltaq_controllers.camera.escape.follower import EscapingFollower
 from deltaq_controllers.camera.follower import CameraFollower
 from deltaq_controllers.camera.gains import BY_NAME
 from deltaq_controllers.camera.qp_follower import QpFollower
-from deltaq_controllers.camera.scene import TOOL, Scene, focus_of
+from deltaq_controllers.camera.scene import Scene, focus_of
 from deltaq_controllers.interface import Controller, ControllerError, LastIncrement, View
 from deltaq_controllers.surroundings.setpoints import Foreseen
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.messages.motion import AIM_M
 
 # The camera follower as a controller: its focus and its obstacles come from the view.
 
@@ -50,7 +51,7 @@ class CameraController:
         leader: RobotModel,
         desired_distance_m: float,
         focus: Array | None = None,
-        aim_offset_m: tuple[float, float, float] = TOOL,
+        aim_offset_m: tuple[float, float, float] = AIM_M,
     ) -> None:
         self.follower = follower
         self.desired_distance_m = desired_distance_m

@@ -12,11 +12,11 @@ import numpy as np
 
 from deltaq_controllers.camera.controllers import Aiming, FocusController, Seeing
 from deltaq_controllers.camera.outlook import Outlook
-from deltaq_controllers.camera.scene import TOOL
 from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.surroundings.setpoints import LOST_S, Foreseen
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Sight, TargetPoint, ViewTarget, ViewWish
+from deltaq_protocol.messages.motion import AIM_M
 
 # What a camera is asked to look at, and which of several targets it looks at: the first that has been
 # visible.
@@ -218,7 +218,7 @@ class CameraInUse:
         for camera in self._cameras.values():
             if isinstance(camera, Aiming):
                 camera.focus = None if target.focus_m is None else np.array(target.focus_m)
-                camera.aim_offset_m = np.array(target.aim_offset_m or TOOL)
+                camera.aim_offset_m = np.array(target.aim_offset_m or AIM_M)
         if target.leader in self._cameras and target.leader != self._next:
             self._next, self._learnt_cycles = target.leader, 0
 
@@ -235,7 +235,7 @@ def _target_of(camera: FocusController, leader: str) -> ViewTarget:
     if camera.focus is not None:
         return ViewTarget(focus_m=_point(camera.focus))
     offset_m = _point(camera.aim_offset_m)
-    return ViewTarget(leader=leader, aim_offset_m=None if offset_m == TOOL else offset_m)
+    return ViewTarget(leader=leader, aim_offset_m=None if offset_m == AIM_M else offset_m)
 
 
 def _point(point: Array) -> TargetPoint:

@@ -12,10 +12,11 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
 from deltaq_cell.robot_bodies import PointName
 from deltaq_cell.sight_lines import SightLines
-from deltaq_controllers.camera.scene import TOOL, focus_of
+from deltaq_controllers.camera.scene import focus_of
 from deltaq_controllers.interface import View
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import ViewTarget
+from deltaq_protocol.messages.motion import AIM_M
 
 # What both eyes of a camera see of a point.
 
@@ -26,7 +27,7 @@ class Visibility:
 
     Attributes:
         in_picture: of each eye, whether the point is within its picture.
-        blocked_by: of each eye, the bodies on its line of sight, from the eye on.
+        blocked_by: of each eye, the bodies on its line of sight, from the eye on; none in which the point lies.
     """
 
     in_picture: tuple[bool, ...]
@@ -78,14 +79,12 @@ class VisibilityGauge:
         T_world_camera = self._robot.camera_pose(configurations[self._robot.name])
         rotation, lens = T_world_camera[:3, :3], T_world_camera[:3, 3]
         eyes = [lens + aside * rotation[:, 1] for aside in self._eyes_m]
+        lines = [self._lines.blocked_by(eye, target) for eye in eyes]
+        around = self._lines.bodies_at(target) if any(lines) else ()
         return Visibility(
             tuple(self._is_in_picture(rotation.T @ (target - eye)) for eye in eyes),
-            tuple(self._lines.blocked_by(eye, target) for eye in eyes),
+            tuple(tuple(name for name in line if name not in around) for line in lines),
         )
-
-    def bodies_at(self, point: Array) -> tuple[str, ...]:
-        """Names of the bodies at a point (3,) in the world [m], with robots where they were looked at last."""
-        return self._lines.bodies_at(point)
 
     def _is_in_picture(self, seen: Array) -> bool:
         """Whether a point (3,) in an eye's axes is within its picture."""
@@ -96,9 +95,9 @@ class VisibilityGauge:
 class Outlook:
     """Lines of sight from a robot's camera to targets, whether or not the camera is turned to them.
 
-    A target is part of something: whatever moves with the tool that is looked at does not hide it, nor does a body in
-    which a fixed point lies. What turns with the camera hides nothing either: its own housing is between it and what
-    is beside it. One eye that sees the target is enough.
+    A target is hidden if bodies are on the line of sight of each eye, those of the gripper that is looked at included;
+    see `VisibilityGauge`. What turns with the camera hides nothing: its own housing is between it and what is beside
+    it.
 
     Args:
         cell: the cell.
@@ -112,9 +111,6 @@ class Outlook:
         self._gauge = VisibilityGauge(cell, robot)
         self._robot, self._robots = robot, cell.robots
         self._housing = moving_with("camera", cell.robots[robot])
-        self._hands = {
-            name: moving_with("tool", other) for name, other in cell.robots.items() if name != robot
-        }
 
     def hidden_by(self, view: View, target: ViewTarget) -> tuple[str, ...]:
         """Names of the bodies that hide a target, from the left eye on; empty if an eye sees it.
@@ -126,15 +122,12 @@ class Outlook:
         configurations = {name: other.q for name, other in view.others.items()} | {self._robot: view.own.q}
         if target.focus_m is not None:
             focus = np.array(target.focus_m)
-            parts = frozenset(self._gauge.bodies_at(focus))
         else:
             assert target.leader is not None  # a target is on a tool or fixed
-            offset_m = np.array(target.aim_offset_m or TOOL)
+            offset_m = np.array(target.aim_offset_m or AIM_M)
             focus = focus_of(self._robots[target.leader].forward(configurations[target.leader]), offset_m)
-            parts = self._hands[target.leader]
         seen = self._gauge.look(configurations, focus)
-        parts |= self._housing
-        blocked = [tuple(name for name in bodies if name not in parts) for bodies in seen.blocked_by]
+        blocked = [tuple(name for name in bodies if name not in self._housing) for bodies in seen.blocked_by]
         return blocked[0] if all(blocked) else ()
 
 

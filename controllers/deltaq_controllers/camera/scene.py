@@ -9,11 +9,9 @@ import numpy as np
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.messages.motion import AIM_M
 
 # What a camera looks at: a point of the leader's tool, or a point that stands still.
-
-TOOL = (0.0, 0.0, 0.0)
-"""The origin of the tool's frame, in that frame [m]."""
 
 
 def focus_of(T_world_tool: Array, aim_offset_m: Array) -> Array:
@@ -42,7 +40,7 @@ class Scene:
     cell: CellModel
     robot_name: str
     leader_name: str
-    aim_offset_m: tuple[float, float, float] = TOOL
+    aim_offset_m: tuple[float, float, float] = AIM_M
 
     @property
     def robot(self) -> RobotModel:

@@ -36,6 +36,7 @@ def demo(
         bool, typer.Option("--open", help="Open the console in this machine's browser.")
     ] = False,
     with_console: ConsoleOption = True,
+    verbose: Annotated[bool, typer.Option("--verbose", help="Also print figures and counters.")] = False,
     json: JsonOption = False,
 ) -> None:
     """Start an emulated cell; a scripted leader moves one arm, and the other follows it with its camera."""
@@ -77,7 +78,10 @@ def demo(
     if json:
         print_json(summary)
     else:
-        show(summary)
+        if verbose:
+            show(summary)
+        for line in in_words(summary):
+            typer.echo(line)
     for problem in problems:
         typer.echo(f"deltaq: {problem}", err=True)
     if problems:
@@ -187,8 +191,50 @@ def summarise(
     }
 
 
+PAPER_ANGLE_DEG, PAPER_DISTANCE_CM = 1.0, 2.0
+"""Within which the camera of Bjerkeng et al. (2011), section VI-C, kept its view."""
+NEXT = (
+    "next: `deltaq up`, then `deltaq drive --robot gr` or `deltaq run FILE.py:Class --robot fr` in another terminal; "
+    "`deltaq demo --verbose` prints all figures"
+)
+
+
+def in_words(summary: dict[str, Any]) -> tuple[str, ...]:
+    """What a demonstration has shown, in four lines."""
+    gate = summary["gate"]
+    counts = {name: gate.get(name, 0) for name in ("admitted", "scaled", "held", "refused")}
+    missed = [
+        f"{name} missed {robot['missed'] or 'none'} of its {robot['missed'] + robot['cycles']['count']} cycles"
+        + ("" if (rate := robot["admission_rate"]) is None else f" and moved as admitted in {rate:.1%}")
+        for name, robot in summary["robots"].items()
+    ]
+    return (
+        f"camera: {_followed(summary['tracking'])}",
+        f"gate: it admitted {counts['admitted']} increments whole, limited {counts['scaled']}, braked instead of "
+        f"{counts['held']} and refused {counts['refused']}",
+        f"cycles of {summary['cycle_s'] * 1000:g} ms: {'; '.join(missed)}",
+        NEXT,
+    )
+
+
+def _followed(tracking: dict[str, Any] | None) -> str:
+    """How well the camera followed, beside the paper."""
+    if not tracking:
+        return "it left no figures"
+    angle_deg, distance_m = (tracking[name]["rms"] for name in ("angle_deg", "distance_m"))
+    if angle_deg is None:
+        return "it followed for too short a time to judge it; let the demo run for more than 5 s"
+    told = (
+        f"it kept the target within {angle_deg:.2f}° and {100 * distance_m:.1f} cm (rms), the paper within "
+        f"{PAPER_ANGLE_DEG:g}° and {PAPER_DISTANCE_CM:g} cm"
+    )
+    view = tracking["view"]
+    looked = sum(view[sight] for sight in ("fresh", "view_stale", "view_lost", "view_hidden"))
+    return f"{told}; it saw the target in {view['fresh'] / looked:.0%} of the cycles" if looked else told
+
+
 def show(summary: dict[str, Any]) -> None:
-    """Print the summary as people read it."""
+    """Print figures and counters."""
     from deltaq_deploy.command.console import counts, flat, print_table
 
     def ms(value: float | None) -> str | None:

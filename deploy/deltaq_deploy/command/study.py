@@ -44,8 +44,11 @@ SettleOption = Annotated[
 SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the run; the same seed gives the same run.")]
 TargetOption = Annotated[str, typer.Option(help="What a collision aims at: lens, wrist, elbow or all.")]
 AimOption = Annotated[
-    tuple[float, float, float],
-    typer.Option(help="Point of the leader's tool to look at, in the tool's frame."),
+    tuple[float, float, float] | None,
+    typer.Option(
+        help="Point of the leader's tool to look at, in the tool's frame.",
+        show_default="0 0 0.04, before the fingers",
+    ),
 ]
 NoGateOption = Annotated[
     bool,
@@ -97,7 +100,7 @@ def experiment(
     settle_s: SettleOption = 5.0,
     seed: SeedOption = 0,
     target: TargetOption = "lens",
-    aim_offset_m: AimOption = (0.0, 0.0, 0.0),
+    aim_offset_m: AimOption = None,
     no_gate: NoGateOption = False,
     live: Annotated[bool, typer.Option("--live", help="Run over real processes, zenoh and UDP.")] = False,
     json: JsonOption = False,
@@ -144,7 +147,7 @@ def experiment(
         "settle_s": settle_s,
         "live": live,
         "target": target,
-        "aim_offset_m": aim_offset_m,
+        **({} if aim_offset_m is None else {"aim_offset_m": aim_offset_m}),
         "gated": not no_gate,
         "record": record,
     }

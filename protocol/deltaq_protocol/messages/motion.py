@@ -35,10 +35,17 @@ class Sight(StrEnum):
     HIDDEN = "view_hidden"
 
 
+AIM_M: TargetPoint = (0.0, 0.0, 0.04)
+"""Point of a tool that is looked at where none is named, in the tool's frame [m].
+
+It lies before the fingers of a gripper: there the work is, and the fingers do not hide it.
+"""
+
+
 class ViewTarget(Message):
     """One thing to look at: a point of the tool of `leader`, or `focus_m`, a fixed point in the world.
 
-    `aim_offset_m` is that point in the frame of the tool; null is the origin of the frame.
+    `aim_offset_m` is that point in the frame of the tool; null is [0, 0, 0.04], before the fingers of a gripper.
     """
 
     leader: Name | None = None

@@ -200,9 +200,9 @@ def test_a_compiler_that_fails_ends_those_beside_it(monkeypatch: pytest.MonkeyPa
     [
         ("hli,sim,robot-server", (), None, True),
         ("hli,robot-server", (), None, False),
-        ("hli,sim,console", ("paper",), "lab", True),
-        ("console", ("paper",), "lab", False),
-        ("sim,follower", ("paper",), None, True),
+        ("hli,sim,console", ("qp",), "lab", True),
+        ("console", ("qp",), "lab", False),
+        ("sim,follower", ("qp",), None, True),
     ],
 )
 def test_services_need_what_they_run_and_what_a_console_starts(
