@@ -122,7 +122,8 @@ def _validated(tree: YamlNode) -> CellDescription:
         # as JSON, because strict validation takes JSON's lists for tuples but no text for numbers
         return CellDescription.model_validate_json(json.dumps(tree.plain()), strict=True)
     except ValidationError as error:
-        raise CellError([problem_of(tree, dict(item), CellDescription) for item in error.errors()]) from None
+        problems = (problem_of(tree, dict(item), CellDescription) for item in error.errors())
+        raise CellError(sorted(problems, key=lambda problem: (problem.file, problem.line))) from None
 
 
 # Pydantic's errors about a YAML file as problems with file, line, field, value and bound.

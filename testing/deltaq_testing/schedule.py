@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
-from deltaq_cell.models import nearest_name
 from deltaq_protocol.errors import DeltaqError
 from deltaq_testing.faults.catalogue import (
     CATALOGUE,
@@ -22,14 +21,12 @@ from deltaq_testing.faults.catalogue import (
     Misbehave,
     Slow,
     StepClock,
-    UnknownFaultError,
+    fault_named,
 )
 from deltaq_testing.virtual_cell.parts import Link, Process
 
 FOR_S = 0.5
 """How long a fault stands if nothing else is said."""
-_LINK = "link-"
-_CONTROLLERS_LINK = f"{Link.CONTROLLER_HLI}-"
 
 
 class ScheduleError(DeltaqError):
@@ -105,10 +102,7 @@ def fault(name: str, *, at_s: float, for_s: float = FOR_S) -> TimedFault:
         UnknownFaultError: there is no such fault; the message names those that there are.
         ScheduleError: it does not exist in virtual time, or a time is out of its bounds.
     """
-    spelled = name.replace("_", "-")
-    if spelled.startswith(_LINK):
-        spelled = _CONTROLLERS_LINK + spelled.removeprefix(_LINK)
-    row = _row(spelled)
+    row = fault_named(name)
     if not row.virtual:
         raise ScheduleError(f"{row.name} does not exist in virtual time; `deltaq fault list` shows which do")
     if not (0 <= at_s < math.inf):
@@ -116,16 +110,6 @@ def fault(name: str, *, at_s: float, for_s: float = FOR_S) -> TimedFault:
     if not (0 < for_s < math.inf):
         raise ScheduleError(f"{row.name}: for_s must be more than 0, got {for_s!r}")
     return TimedFault(row, float(at_s), float(for_s))
-
-
-def _row(name: str) -> Fault:
-    names = {row.name: row for row in CATALOGUE}
-    if name in names:
-        return names[name]
-    meant = nearest_name(name, list(names))
-    raise UnknownFaultError(
-        f"no fault {name!r}; {f'did you mean {meant!r}? ' if meant else ''}`deltaq fault list` shows all"
-    )
 
 
 def clash(faults: Iterable[TimedFault]) -> tuple[TimedFault, TimedFault] | None:

@@ -106,8 +106,10 @@ WRONG = [
     ("tcp/127.0.0.1:7451", "127.0.0.1", 6, "robots.fr.server", "127.0.0.1", "local or tls/HOST:PORT",
      "a port of 1 to 65535"),
     ("  fr:", "  FR:", 4, "robots.FR", "FR", "^[a-z][a-z0-9_-]*$", "pattern"),
-    ("lower_deg: -150", "lower_deg: 40", 10, "robots.fr.joints.a2", None, None, "must be below the upper limit"),
-    ("home_deg: -90", "home_deg: 90", 10, "robots.fr.joints.a2", None, None, "home 1.5708 must lie between"),
+    ("lower_deg: -150", "lower_deg: 40", 10, "robots.fr.joints.a2", None, None,
+     "lower_deg 40 must be below upper_deg 30"),
+    ("home_deg: -90", "home_deg: 90", 10, "robots.fr.joints.a2", None, None,
+     "home_deg 90 must lie between lower_deg -150"),
     ("        home_deg: -90\n", "", 10, "robots.fr.joints.a2", None, None, "a joint needs home_deg"),
 ]  # fmt: skip
 
@@ -149,8 +151,9 @@ def test_a_krc_that_does_not_exist_is_answered_with_those_that_do(tmp_path: Path
 
 def test_all_errors_of_a_file_are_told_at_once(tmp_path: Path) -> None:
     text = MINI.replace("0.012", "-1").replace("radius_m", "radius").replace("model: kr16", "modell: kr16")
-    fields = [problem.field for problem in problems(write(tmp_path, text))]
-    assert sorted(fields) == [
+    told = problems(write(tmp_path, text))
+    assert [problem.line for problem in told] == sorted(problem.line for problem in told)
+    assert sorted(problem.field for problem in told) == [
         "cycle_s",
         "robots.fr.model",
         "robots.fr.modell",

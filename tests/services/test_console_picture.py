@@ -61,7 +61,7 @@ def test_a_frame_holds_what_was_heard(bench):
     head, robots = decoded(bench.core.picture.frame(bench.now_s))
     assert head[4:] == (0, 1, 0.5, 1, 2, 3, 4, 5, 6)
     joints, phase, outcome, flags, age_s, clearance_m, a, b, admission, longest_s, *focus = robots[0][0]
-    assert focus == pytest.approx((0.1, 0.2, 0.3))  # the leader's tool
+    assert focus == pytest.approx((0.1, 0.2, 0.34))  # before the leader's tool
     assert all(math.isnan(number) for number in robots[1][0][10:]), "it carries no camera"
     assert (joints, PHASES[phase], OUTCOMES[outcome], flags) == (6, Phase.ENGAGED, Outcome.SCALED, 0)
     assert (age_s, clearance_m, a, b, admission) == (0.015625, 0.125, 0, 2, 0.0)
@@ -80,13 +80,13 @@ def test_what_a_camera_looks_at_is_marked_as_its_controller_says(bench):
     half = math.sqrt(0.5)
     turned = ToolPose(position=(1.0, 2.0, 3.0), quaternion_wxyz=(half, 0.0, 0.0, half))  # x to y
     bench.state(robot="gr", tool=turned)
-    assert focus_shown(bench) == pytest.approx((1.0, 2.0, 3.0)), (
+    assert focus_shown(bench) == pytest.approx((1.0, 2.0, 3.04)), (
         "nobody says: the tool that it is there to watch"
     )
     bench.state(target=ViewTarget(leader="gr", aim_offset_m=(0.5, 0.0, 0.25)))
     assert focus_shown(bench) == pytest.approx((1.0, 2.5, 3.25))
     bench.state(target=ViewTarget(leader="gr"))
-    assert focus_shown(bench) == pytest.approx((1.0, 2.0, 3.0))
+    assert focus_shown(bench) == pytest.approx((1.0, 2.0, 3.04))
     bench.state(target=ViewTarget(focus_m=(7.0, 8.0, 9.0)))
     assert focus_shown(bench) == pytest.approx((7.0, 8.0, 9.0))
     for nowhere in (ViewTarget(leader="ghost"), ViewTarget()):

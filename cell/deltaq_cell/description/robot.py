@@ -59,10 +59,15 @@ class JointDescription(DescriptionModel):
                 "max_acceleration_rad_s2 (revolute), or home_m, lower_m, upper_m, max_velocity_m_s and "
                 "max_acceleration_m_s2 (prismatic), and none of the other kind"
             )
-        if not self.lower < self.upper:
-            raise ValueError(f"the lower limit {self.lower:g} must be below the upper limit {self.upper:g}")
-        if not self.lower <= self.home <= self.upper:
-            raise ValueError(f"home {self.home:g} must lie between {self.lower:g} and {self.upper:g}")
+        unit = "deg" if given[0] else "m"
+        home, lower, upper = (revolute if given[0] else prismatic)[:3]
+        assert home is not None and lower is not None and upper is not None  # noqa: PT018 # a group is given
+        if not lower < upper:
+            raise ValueError(f"lower_{unit} {lower:g} must be below upper_{unit} {upper:g}")
+        if not lower <= home <= upper:
+            raise ValueError(
+                f"home_{unit} {home:g} must lie between lower_{unit} {lower:g} and upper_{unit} {upper:g}"
+            )
         return self
 
     @property

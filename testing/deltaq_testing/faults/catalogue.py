@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
+from deltaq_cell.models import nearest_name
 from deltaq_emulator.faults import LinkFaults
 from deltaq_protocol.errors import DeltaqError
 from deltaq_testing.impairment.stream import StreamFaults
@@ -353,14 +354,21 @@ CATALOGUE: tuple[Fault, ...] = (
 """Every fault, from the operator's hand through the processes and wires to the robot's controller."""
 
 
+_LINK, _CONTROLLERS_LINK = "link-", f"{Link.CONTROLLER_HLI}-"
+
+
 def fault_named(name: str) -> Fault:
-    """The row of this name.
+    """The row of this name; underscores may stand for hyphens, and `link` for `controller-hli`.
 
     Raises:
-        UnknownFaultError: naming the catalogue's.
+        UnknownFaultError: there is none; the message suggests the one that was probably meant.
     """
-    for fault in CATALOGUE:
-        if fault.name == name:
-            return fault
-    known = ", ".join(fault.name for fault in CATALOGUE)
-    raise UnknownFaultError(f"no fault {name!r}; there are {known}")
+    spelled = name.replace("_", "-")
+    if spelled.startswith(_LINK):
+        spelled = _CONTROLLERS_LINK + spelled.removeprefix(_LINK)
+    names = {row.name: row for row in CATALOGUE}
+    if spelled in names:
+        return names[spelled]
+    meant = nearest_name(spelled, list(names))
+    suggestion = f"did you mean {meant!r}? " if meant else ""
+    raise UnknownFaultError(f"no fault {spelled!r}; {suggestion}`deltaq fault list` shows all")
