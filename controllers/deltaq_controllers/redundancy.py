@@ -86,14 +86,12 @@ class WeightedGradient(NamedTuple):
         limit_scale: `s_w` of the weights [rad or m].
         damping: singular value at which the damping halves the task rate, as a ratio of view angle to
             joint angle.
-        one_sided: False weighs joints that leave a limit too, as (10) is printed.
     """
 
     lower: Array
     upper: Array
     limit_scale: float
     damping: float
-    one_sided: bool = True
 
 
 @compiled
@@ -128,8 +126,6 @@ def weighted_rates(
     gradient = limit_gradient(q, weights.lower, weights.upper)
     weighed = 1.0 / (1.0 + (weights.limit_scale * gradient) ** 2)
     rates = damped_rates(jacobian, weighed, task, field, damping)
-    if not weights.one_sided:
-        return rates
     released = (gradient * rates < 0.0) & (weighed < 1.0 - _MATTERS)
     count = released.sum()
     while count:

@@ -12,7 +12,7 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_cell.description import Camera
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.camera.controllers import CameraController
-from deltaq_controllers.camera.follower import CORRECTED, CameraFollower, FollowerGains, Variants
+from deltaq_controllers.camera.follower import CameraFollower, FollowerGains
 from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_protocol.arrays import Array
@@ -80,7 +80,7 @@ def track(
     delay_cycles: int = 5,
     lag: bool = False,
     gains: FollowerGains | None = None,
-    variants: Variants = CORRECTED,
+    extrapolates: bool = True,
     distance_m: float = 1.2,
 ) -> Run:
     """Follow the scripted leader from the homes.
@@ -91,8 +91,8 @@ def track(
     """
     robot, leader_model = lab().robots["fr"], lab().robots["gr"]
     leader = ScriptedLeader(leader_model, CYCLE_S, speed_m_s, seed)
-    follower = CameraFollower(robot, leader_model, CYCLE_S, gains, variants)
-    controller = CameraController(follower, leader_model, distance_m)
+    follower = CameraFollower(robot, leader_model, CYCLE_S, gains)
+    controller = CameraController(follower, leader_model, distance_m, extrapolates=extrapolates)
     q_cmd, q_leader = np.array(robot.home), np.array(leader_model.home)
     servo, leaders_servo, dq = Servo(q_cmd), Servo(q_leader), np.zeros(robot.n)
     first = RobotView(-delay_cycles, -delay_cycles * CYCLE_S, q_leader, q_leader)

@@ -81,7 +81,7 @@ def test_inside_one_another_bodies_are_still_pushed_apart_and_no_harder() -> Non
     field = repulsion.field(kinematics)
     kinematics.update(np.deg2rad([0.0, -90, 90, 0, 30, 0]) + 1e-4 * field / np.linalg.norm(field))
     assert (spheres.placed(kinematics.placements())[-1] - outermost)[1] > 0
-    assert push(POTENTIAL, -1.0, 0.1) == push(POTENTIAL, 0.03, 0.1)
+    assert push(POTENTIAL, -1.0) == push(POTENTIAL, 0.03)
 
 
 def test_out_of_range_nothing_is_pushed() -> None:
@@ -90,11 +90,6 @@ def test_out_of_range_nothing_is_pushed() -> None:
     assert repulsion.approach(kinematics, *NOTHING) == np.inf
     assert repulsion.approach(kinematics, np.array([[5.0, 5.0, 5.0]]), np.array([0.1])) > 1.0
     np.testing.assert_array_equal(repulsion.field(kinematics), np.zeros(6))
-
-
-def test_as_printed_the_push_is_larger_by_the_distance_of_centres_over_the_clearance() -> None:
-    printed = Potential(POTENTIAL.gain, POTENTIAL.range_m, POTENTIAL.min_m, as_printed=True)
-    assert push(printed, 0.05, 0.35) == pytest.approx(7.0 * push(POTENTIAL, 0.05, 0.35))
 
 
 @pytest.mark.parametrize("_", range(20))
@@ -115,9 +110,7 @@ def test_looking_only_at_what_is_near_changes_nothing_within_one_increment(
     # every pair, with Jacobians by finite differences
     apart = centres[:, None] - obstacles[None]
     between = np.linalg.norm(apart, axis=2)
-    pushes = np.vectorize(lambda d, apart: push(POTENTIAL, d, apart))(
-        between - spheres.radii[:, None] - sizes[None], between
-    )
+    pushes = np.vectorize(lambda d: push(POTENTIAL, d))(between - spheres.radii[:, None] - sizes[None])
     force = (pushes[:, :, None] * apart / between[:, :, None]).sum(axis=1)
     expected = []
     for d in 1e-6 * np.eye(6):

@@ -1,4 +1,4 @@
-"""Camera controllers by name: the paper's law and its variants, the quadratic programme, and your own.
+"""Camera controllers by name: the paper's law, the quadratic programme, and your own.
 
 All of them answer a `View` with an increment, and let their focus and view distance be set.
 """
@@ -16,7 +16,6 @@ from deltaq_controllers.camera.clear_view import ClearViewFollower
 from deltaq_controllers.camera.error import view_angle
 from deltaq_controllers.camera.escape.follower import EscapingFollower
 from deltaq_controllers.camera.follower import CameraFollower
-from deltaq_controllers.camera.gains import BY_NAME
 from deltaq_controllers.camera.qp_follower import QpFollower
 from deltaq_controllers.camera.scene import Scene, focus_of
 from deltaq_controllers.interface import Controller, ControllerError, LastIncrement, View
@@ -38,6 +37,7 @@ class CameraController:
         desired_distance_m: desired view distance; may be changed at any time [m].
         focus: (3,) fixed point in the world to look at in place of the leader's tool [m].
         aim_offset_m: (3,) point of the leader's tool to look at, in the tool's frame [m].
+        extrapolates: whether the focus is where the leader will be, and not where it was measured.
 
     Attributes:
         follower, desired_distance_m, focus, aim_offset_m: as given; all but the first may be changed at any time.
@@ -52,13 +52,15 @@ class CameraController:
         desired_distance_m: float,
         focus: Array | None = None,
         aim_offset_m: tuple[float, float, float] = AIM_M,
+        *,
+        extrapolates: bool = True,
     ) -> None:
         self.follower = follower
         self.desired_distance_m = desired_distance_m
         self.focus = focus
         self.aim_offset_m: Array = np.array(aim_offset_m)
         self.evades_below_m = follower.gains.repulsion_range_m
-        self._leader = leader
+        self._leader, self._extrapolates = leader, extrapolates
         self._last = LastIncrement(follower.limits.max_ddq)
         self.leader_seen = Foreseen(leader, follower.robot, follower.cycle_s)
 
@@ -69,7 +71,7 @@ class CameraController:
         if leader is None:
             return self.follower.limits.admissible(np.zeros_like(own.q_cmd), own.q_cmd, dq_last)
         self.leader_seen.update(own, leader)
-        q_leader = self.leader_seen.ahead() if self.follower.variants.extrapolated_focus else leader.q
+        q_leader = self.leader_seen.ahead() if self._extrapolates else leader.q
         focus = self.focus_at(q_leader)
         return self.follower.increment(
             own.q_cmd, dq_last, focus, q_leader, self.desired_distance_m, leader.time_s
@@ -143,8 +145,9 @@ class Seeing(Protocol):
 Maker = Callable[[Scene, float, Array | None], FocusController]
 """Makes a controller for a scene, a desired view distance [m] and a fixed focus (3,), None for the leader's tool."""
 
-NAMES = (*BY_NAME, "qp", "clear-view", "escape")
-"""The controllers that come with the project."""
+NAMES = ("paper", "predictive", "qp", "clear-view", "escape")
+"""The controllers that come with the project. `paper` is the paper's law with its errata corrected; `predictive` also
+extrapolates the focus, which the paper leaves to future work (VII-B)."""
 
 
 def camera_controller_named(
@@ -161,9 +164,11 @@ def camera_controller_named(
     Raises:
         ControllerError: there is no controller of that name.
     """
-    if name in BY_NAME:
-        follower = CameraFollower(scene.robot, scene.leader, scene.cycle_s, variants=BY_NAME[name])
-        return CameraController(follower, scene.leader, distance_m, focus, scene.aim_offset_m)
+    if name in ("paper", "predictive"):
+        follower, ahead = CameraFollower(scene.robot, scene.leader, scene.cycle_s), name == "predictive"
+        return CameraController(
+            follower, scene.leader, distance_m, focus, scene.aim_offset_m, extrapolates=ahead
+        )
     if name == "qp":
         return QpFollower(scene, distance_m, focus)
     if name == "clear-view":

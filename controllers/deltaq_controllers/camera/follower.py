@@ -8,7 +8,7 @@ import numpy as np
 
 from deltaq_cell.compiled import compiled
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.camera.gains import AS_PRINTED, CORRECTED, FollowerGains, Variants
+from deltaq_controllers.camera.gains import FollowerGains
 from deltaq_controllers.camera.law import CameraLaw
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.limits import IncrementLimits
@@ -137,9 +137,6 @@ class FocusTracker:
         self._time_s = time_s
 
 
-__all__ = ["AS_PRINTED", "CORRECTED", "CameraFollower", "FollowerGains", "Variants"]
-
-
 class CameraFollower:
     """Increments that make a robot's camera look at a focus from a desired distance.
 
@@ -151,11 +148,10 @@ class CameraFollower:
         leader: the robot to keep clear of, None for none.
         cycle_s: cycle of the robot [s].
         gains: gains of the law.
-        variants: corrected, or as printed.
         floor_m: height of the floor to keep clear of, None for none [m].
 
     Attributes:
-        robot, cycle_s, gains, variants: as given.
+        robot, cycle_s, gains: as given.
         limits: limits of the increments.
         clearance_m: least clearance of bounding spheres at the last increment [m].
 
@@ -169,7 +165,6 @@ class CameraFollower:
         leader: RobotModel | None,
         cycle_s: float,
         gains: FollowerGains | None = None,
-        variants: Variants = CORRECTED,
         floor_m: float | None = 0.0,
     ) -> None:
         gains = gains or FollowerGains()
@@ -178,10 +173,10 @@ class CameraFollower:
                 f"robot {robot.name!r} has no camera to follow with: give it one under "
                 f"robots.{robot.name}.camera in the cell's description, or choose another robot"
             )
-        self.robot, self.cycle_s, self.gains, self.variants = robot, cycle_s, gains, variants
+        self.robot, self.cycle_s, self.gains = robot, cycle_s, gains
         self.limits = IncrementLimits.of(robot, cycle_s)
         self.clearance_m = np.inf
-        self._law = CameraLaw(robot, cycle_s, self.limits.max_dq, gains, variants, floor_m)
+        self._law = CameraLaw(robot, cycle_s, self.limits.max_dq, gains, floor_m)
         self._leader = PlacedSpheres(leader) if leader is not None else None
         self._emergency = Emergency(gains.emergency_on_m, gains.emergency_off_m)
         self._tracker = FocusTracker()

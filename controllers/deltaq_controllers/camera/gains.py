@@ -1,4 +1,4 @@
-"""Gains of the camera follower, and the points in which it can run as printed."""
+"""Gains of the camera follower."""
 
 from __future__ import annotations
 
@@ -45,50 +45,3 @@ class FollowerGains(NamedTuple):
     turn_rad_s2: float = 10.0
     zoom_m_s2: float = 2.0
     spin_rad_s2: float = 30.0
-
-
-class Variants(NamedTuple):
-    """Points in which the paper's print and its correction differ and both are worth running; see the errata.
-
-    With all of them off the equations are those that the paper prints. The damping of (7), the hysteresis of (13) and
-    the bound of a step of the integration stay, and so do the gains: without the first three the law is not defined at
-    a singularity, alternates at the edge of (13), or steps past where it was linearised.
-
-    Attributes:
-        angle_law: view angle decays linearly; else as (9) prints it, like its sine.
-        bounded_rates: errors are reduced no faster than the robot can brake, and its braking does not turn the view
-            away; else they are reduced as fast as it can move.
-        one_sided_weights: joints that leave a limit are not weighed; else (10) as printed.
-        gradient_repulsion: the gradient of the potential; else (12) as printed.
-        extrapolated_focus: the focus is where the leader will be; otherwise it is held where it was measured.
-    """
-
-    angle_law: bool = True
-    bounded_rates: bool = True
-    one_sided_weights: bool = True
-    gradient_repulsion: bool = True
-    extrapolated_focus: bool = True
-
-
-CORRECTED = Variants()
-AS_PRINTED = Variants(
-    angle_law=False,
-    bounded_rates=False,
-    one_sided_weights=False,
-    gradient_repulsion=False,
-    extrapolated_focus=False,
-)
-
-PAPER = Variants(extrapolated_focus=False)
-
-BY_NAME = {
-    "paper": PAPER,
-    "predictive": CORRECTED,
-    "printed": AS_PRINTED,
-    "printed-decay": PAPER._replace(angle_law=False, bounded_rates=False),
-    "printed-weights": PAPER._replace(one_sided_weights=False),
-    "printed-repulsion": PAPER._replace(gradient_repulsion=False),
-}
-"""`paper` is the paper's law with its errata corrected; `predictive` also extrapolates the focus, which the paper
-leaves to future work (VII-B). `printed` undoes every correction, the others one each: the decay of (9), the weights
-(10), the repulsion (12)."""

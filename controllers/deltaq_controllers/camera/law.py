@@ -10,7 +10,7 @@ import numpy as np
 from deltaq_cell.compiled import compiled
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.camera.error import CameraPose, Look, look_on, view_jacobians
-from deltaq_controllers.camera.gains import FollowerGains, Variants
+from deltaq_controllers.camera.gains import FollowerGains
 from deltaq_controllers.camera.repulsion import Potential, Repulsion
 from deltaq_controllers.camera.subtasks import (
     RollJoint,
@@ -44,10 +44,10 @@ class CameraGoal(NamedTuple):
 
 
 class Decay(NamedTuple):
-    """How fast the errors of (9) and (15) decay; a choice of `FollowerGains` and `Variants`, since each costs time.
+    """How fast the errors of (9) and (15) decay; a choice of `FollowerGains`, since each costs time.
 
     Attributes:
-        direction, roll, turn_rad_s2, spin_rad_s2, angle_law, bounded_rates: as there.
+        direction, roll, turn_rad_s2, spin_rad_s2: as there.
         share_of_horizon: the cycle by the virtual horizon.
     """
 
@@ -55,8 +55,6 @@ class Decay(NamedTuple):
     roll: float
     turn_rad_s2: float
     spin_rad_s2: float
-    angle_law: bool
-    bounded_rates: bool
     share_of_horizon: float
 
 
@@ -90,11 +88,10 @@ def rates(
 @compiled
 def _task_rate(view: Look, focus_speed: float, decay: Decay) -> Array:
     """(2,) wanted rate of psi [1/s]."""
-    # (9) as printed: psi decays at k_p, so the angle at k_p sin(angle)
-    rate = decay.direction * (view.angle if decay.angle_law else math.sin(view.angle))
-    if decay.bounded_rates:
-        ahead = focus_speed / view.distance
-        rate = min(rate, _bounded(view.angle, decay.turn_rad_s2, ahead, decay.share_of_horizon))
+    # the angle decays at k_p; as (9) is printed psi would, and the angle like its sine
+    ahead = focus_speed / view.distance
+    bound = _bounded(view.angle, decay.turn_rad_s2, ahead, decay.share_of_horizon)
+    rate = min(decay.direction * view.angle, bound)
     return (-view.stretch * rate) * view.direction
 
 
@@ -103,12 +100,10 @@ def _roll_rate(pose: CameraPose, q_last: float, roll_joint: RollJoint, decay: De
     """Rate of the roll joint (15) at its angle `q_last` [rad/s]."""
     axis = pose.twists[3:, roll_joint.number]
     turn = turn_to_level(pose.rotation, axis, q_last, roll_joint.lower, roll_joint.upper)
-    rate = decay.roll * abs(turn)
-    if decay.bounded_rates:
-        # other joints have to compensate for a lens off the axis, within their limits
-        deceleration = decay.spin_rad_s2 if roll_joint.is_free else decay.turn_rad_s2
-        rate = min(rate, _bounded(abs(turn), deceleration, 0.0, decay.share_of_horizon))
-    return math.copysign(rate, turn)
+    # other joints have to compensate for a lens off the axis, within their limits
+    deceleration = decay.spin_rad_s2 if roll_joint.is_free else decay.turn_rad_s2
+    bound = _bounded(abs(turn), deceleration, 0.0, decay.share_of_horizon)
+    return math.copysign(min(decay.roll * abs(turn), bound), turn)
 
 
 @compiled
@@ -152,7 +147,6 @@ def kept_looking(
     pose: CameraPose,
     focus: Array,
     damping: float,
-    leave_bounds: bool,
     dq: Array,
     clipped: Array,
     slowest: Array,
@@ -166,7 +160,7 @@ def kept_looking(
     for _ in range(len(dq)):
         missing = _moved(jacobian, dq - reached)
         free = (reached > slowest) & (reached < fastest)
-        if leave_bounds and (view.direction * _moved(jacobian, reached)).sum() > 0.0:
+        if (view.direction * _moved(jacobian, reached)).sum() > 0.0:
             # the focus would be lost: joints at a bound leave it too, if that helps
             helpful = missing[0] * jacobian[0] + missing[1] * jacobian[1]
             free |= np.where(reached > slowest, helpful < 0.0, helpful > 0.0)
@@ -195,7 +189,6 @@ class CameraLaw:
         cycle_s: its cycle [s].
         max_dq: (n,) largest increment of a cycle [rad or m].
         gains: gains of the law.
-        variants: corrected, or as printed.
         floor_m: height of the floor to keep clear of, None for none [m].
     """
 
@@ -205,20 +198,12 @@ class CameraLaw:
         cycle_s: float,
         max_dq: Array,
         gains: FollowerGains,
-        variants: Variants,
         floor_m: float | None,
     ) -> None:
-        self._gains, self._variants = gains, variants
+        self._gains = gains
         self._kinematics = Kinematics(robot, "camera")
-        self._weights = WeightedGradient(
-            robot.lower, robot.upper, gains.limit_scale, gains.damping, variants.one_sided_weights
-        )
-        potential = Potential(
-            gains.repulsion,
-            gains.repulsion_range_m,
-            gains.repulsion_min_m,
-            as_printed=not variants.gradient_repulsion,
-        )
+        self._weights = WeightedGradient(robot.lower, robot.upper, gains.limit_scale, gains.damping)
+        potential = Potential(gains.repulsion, gains.repulsion_range_m, gains.repulsion_min_m)
         self._repulsion = Repulsion(robot, potential, max_dq, floor_m)
         last = self._kinematics.last
         self._roll_joint = RollJoint(
@@ -237,8 +222,6 @@ class CameraLaw:
             gains.roll,
             gains.turn_rad_s2,
             gains.spin_rad_s2,
-            variants.angle_law,
-            variants.bounded_rates,
             cycle_s / gains.horizon_s,
         )
         self._goal = CameraGoal(np.zeros(3), 0.0, 1.0, gains.distance, math.inf)
@@ -278,11 +261,7 @@ class CameraLaw:
         clearance = self._repulsion.approach(self._kinematics, obstacles, radii)
         goal = CameraGoal(focus, focus_speed, desired_distance, self._gains.distance, math.inf)
         share = self._decay.share_of_horizon
-        self._goal = (
-            with_bounded_zoom(goal, self._pose(), q, self._weights, self._gains, share)
-            if self._variants.bounded_rates
-            else goal
-        )
+        self._goal = with_bounded_zoom(goal, self._pose(), q, self._weights, self._gains, share)
         return clearance
 
     def clearance(self, q: Array, obstacles: Array, radii: Array) -> float:
@@ -325,9 +304,8 @@ class CameraLaw:
         if (reached == dq).all():
             return reached
         self._kinematics.update(q)
-        leave_bounds = self._variants.bounded_rates
         return kept_looking(
-            self._pose(), self._goal.focus, self._gains.damping, leave_bounds, dq, reached, slowest, fastest
+            self._pose(), self._goal.focus, self._gains.damping, dq, reached, slowest, fastest
         )
 
     def _pose(self) -> CameraPose:

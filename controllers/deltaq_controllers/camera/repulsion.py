@@ -31,29 +31,25 @@ class Potential(NamedTuple):
         gain: eta [m^3 rad/s].
         range_m: rho_0, the clearance beyond which there is no push [m].
         min_m: a smaller clearance counts as this one [m].
-        as_printed: (12) to the letter.
     """
 
     gain: float
     range_m: float
     min_m: float
-    as_printed: bool = False
 
 
 @compiled
-def push(potential: Potential, clearance: float, between_centres: float) -> float:
+def push(potential: Potential, clearance: float) -> float:
     """Size of one push.
 
     Args:
         potential: its size by clearance.
         clearance: d, negative inside one another [m].
-        between_centres: |o - b|, which only the print makes use of [m].
     """
     if clearance >= potential.range_m:
         return 0.0
     d = max(clearance, potential.min_m)
-    size = potential.gain * (1.0 / d - 1.0 / potential.range_m) / (d * d)
-    return size * between_centres / d if potential.as_printed else size
+    return potential.gain * (1.0 / d - 1.0 / potential.range_m) / (d * d)
 
 
 class Obstacles(NamedTuple):
@@ -167,11 +163,11 @@ def _field(
     for i in range(len(centres)):
         x, y, z = centres[i, 0], centres[i, 1], centres[i, 2]
         fx = fy = 0.0
-        fz = push(potential, z - floor.height - floor.reach[i], z - floor.height)
+        fz = push(potential, z - floor.height - floor.reach[i])
         for k in range(len(obstacles.radii)):
             dx, dy, dz = x - obstacles.centres[k, 0], y - obstacles.centres[k, 1], z - obstacles.centres[k, 2]
             between = math.sqrt(dx * dx + dy * dy + dz * dz)
-            size = push(potential, between - radii[i] - obstacles.radii[k], between) / max(between, 1e-9)
+            size = push(potential, between - radii[i] - obstacles.radii[k]) / max(between, 1e-9)
             fx, fy, fz = fx + size * dx, fy + size * dy, fz + size * dz
         wrench[0], wrench[1], wrench[2] = fx, fy, fz
         wrench[3], wrench[4], wrench[5] = y * fz - z * fy, z * fx - x * fz, x * fy - y * fx

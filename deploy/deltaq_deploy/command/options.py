@@ -23,8 +23,7 @@ RobotOption = Annotated[str, typer.Option("--robot", help="Name of a robot of th
 ControllerOption = Annotated[
     str,
     typer.Option(
-        help="Who moves the camera: qp, paper, predictive, clear-view, escape, a printed variant (printed, "
-        "printed-decay, …), or your own as package.module:function."
+        help="Who moves the camera: qp, paper, predictive, clear-view, escape, or your own as package.module:function."
     ),
 ]
 CriterionOption = Annotated[
