@@ -17,7 +17,6 @@ from deltaq_cell.load import find_cell, load_cell, resolve_near
 from deltaq_cell.robot import RobotModel
 from deltaq_emulator.context import NOTHING, Context, read_context
 from deltaq_emulator.krc import Krc
-from deltaq_emulator.recorder import RecordFolder
 from deltaq_emulator.settings import SHIPPED, KrcSettings, SettingsError, profile_for
 from deltaq_emulator.shell import Emulator
 from deltaq_protocol import log
@@ -44,9 +43,6 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--cell", required=True, help="name of a cell, or path of its YAML file")
     parser.add_argument("--robot", required=True, help="name of the robot in the cell")
     parser.add_argument("--record", type=Path, metavar="FILE.csv", help="write every cycle to this file")
-    parser.add_argument(
-        "--records", type=Path, metavar="FOLDER", help="let the panel begin records in this folder"
-    )
     parser.add_argument(
         "--settings", type=Path, default=SHIPPED, metavar="FILE.yaml", help="of the controller"
     )
@@ -130,8 +126,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         panel = arguments.panel
         if panel is None and driver.control_port is not None:
             panel = (driver.address, driver.control_port)
-        records = None if arguments.records is None else RecordFolder(arguments.records)
-        emulator = Emulator(arguments.robot, krc, server, panel, arguments.seed, arguments.address, records)
+        emulator = Emulator(arguments.robot, krc, server, panel, arguments.seed, arguments.address)
         try:
             if arguments.record is not None:
                 emulator.recorder.start(arguments.record)

@@ -14,7 +14,6 @@
 | `{"op": "fault", "correction": "relative"}` | RSI adds corrections up from now on, or no longer: `"absolute"` |
 | `{"op": "fault", "forge": [{"ipoc_shift": 7000}, {"offset_deg": 1.4}]}` | others send, after each telegram, these |
 | `{"op": "fault"}` | no more faults |
-| `{"op": "record", "path": "run.csv"}`, `{"op": "record"}` | begin and end a record, a new file in `--records` |
 | `{"op": "await", "state": "stopped", "at_rest": true, "cycles": 5, "within_s": 10}` | answer once all this holds |
 
 The answer is the status with `"ok": true`, or `{"ok": false, "error": …}`. It comes at once, except to `await`.
@@ -84,11 +83,6 @@ class _Fault(LinkFaults):
     forge: Annotated[tuple[Forgery, ...], Field(max_length=MAX_FORGERIES)] = ()
 
 
-class _Record(_Request):
-    op: Literal["record"]
-    path: str | None = None
-
-
 class _Await(_Request):
     op: Literal["await"]
     state: KrcState | None = None
@@ -109,7 +103,7 @@ class _Awaiting:
 
 REQUESTS: TypeAdapter[Any] = TypeAdapter(
     Annotated[
-        _Simple | _Restart | _SetMode | _SetDrives | _SetInput | _Fault | _Record | _Await,
+        _Simple | _Restart | _SetMode | _SetDrives | _SetInput | _Fault | _Await,
         Field(discriminator="op"),
     ]
 )
@@ -245,10 +239,6 @@ class Panel:
                 self._krc.set_input(request.name, request.value)
             case _Fault():
                 self._inject(request)
-            case _Record(path=str(path)):
-                self._recorder.start_in_folder(path)
-            case _Record():
-                self._recorder.stop()
 
     def _inject(self, fault: _Fault) -> None:
         if fault.freeze_cycles is not None:

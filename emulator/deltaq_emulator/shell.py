@@ -17,7 +17,7 @@ from functools import partial
 from deltaq_emulator.faults import FaultyLink, Forgery
 from deltaq_emulator.krc import Krc
 from deltaq_emulator.panel import Panel
-from deltaq_emulator.recorder import CsvRecorder, RecordFolder
+from deltaq_emulator.recorder import CsvRecorder
 from deltaq_protocol.endpoint import Address
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.heartbeat import Heartbeat
@@ -92,7 +92,6 @@ class Emulator:
         panel: where the operator's requests are taken, or None.
         seed: of the network's faults.
         address: of the controller itself, which telegrams come from; None: as the system chooses.
-        records: folder in which the operator may begin records; None: nowhere.
 
     Raises:
         SocketError: if an address cannot be resolved or is taken.
@@ -106,11 +105,10 @@ class Emulator:
         panel: Address | None = None,
         seed: int = 0,
         address: str | None = None,
-        records: RecordFolder | None = None,
     ) -> None:
         self._krc = krc
         self._to_pc, self._from_pc = FaultyLink(seed), FaultyLink(seed + 1)
-        self.recorder = CsvRecorder(krc.cycle_s, len(krc.sample.q), records)
+        self.recorder = CsvRecorder(krc.cycle_s, len(krc.sample.q))
         self.counts = {"slipped": 0, "late_starts": 0, "latest_start_us": 0, "send_errors": 0}
         """Cycles that were lost because the machine held up this process; cycles that began late, and the largest delay
         [µs]; telegrams that could not be sent."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import time
 from collections.abc import Sequence
@@ -37,7 +38,7 @@ _PROGRAM_S = 3.0
 """How long a program that was started may take to run."""
 _POLL_S = 0.02
 _RECORD_BYTES = 50_000_000
-"""Of a record before a test begins the next one: well below what an emulated controller writes into one."""
+"""Of a record that the next test cuts short, so that hours of tests fill no disk."""
 _APPROACH = 0.2
 """Share of what is missing to home that is asked for in a cycle: an increment or two are in flight."""
 _HOME_SHARE = 0.1
@@ -63,7 +64,7 @@ class LiveCell(Observed):
         robot: the one under test.
         launcher: of its processes.
         panels: of each robot's emulated controller.
-        folder: in which these begin records.
+        records: that these write, by robot.
 
     Attributes:
         url: where its HLI serves zenoh clients.
@@ -76,14 +77,12 @@ class LiveCell(Observed):
         robot: str,
         launcher: Launcher,
         panels: dict[str, PanelClient],
-        folder: Path,
+        records: dict[str, Path],
     ) -> None:
         super().__init__(loaded.model, robot)
         description = loaded.model.description
         self.url, self.tcp_port = description.hli, description.tcp_port
-        self._launcher, self._panels, self._folder = launcher, panels, folder
-        self._records: dict[str, Path] = {}
-        self._begun = 0
+        self._launcher, self._panels, self._records = launcher, panels, records
         moving = MovingCell(launcher, panels[robot], {}, None, None)
         self._injector = Injector(moving, loaded, robot)
         self._waiting: tuple[TimedFault, ...] = ()
@@ -201,24 +200,13 @@ class LiveCell(Observed):
 
     def begin(self) -> None:
         """Begin a test: what is recorded from now on counts."""
-        sizes = [record.stat().st_size for record in self._records.values()]
-        if not sizes or max(sizes) > _RECORD_BYTES:
-            self._begin_records()
+        for record in self._records.values():
+            if record.stat().st_size > _RECORD_BYTES:
+                os.truncate(record, 0)
         self._from_byte = {name: record.stat().st_size for name, record in self._records.items()}
         self.fault_rows = []
         self._first = {name: panel.ask({"op": "status"}) for name, panel in self._panels.items()}
         self._began_s = time.monotonic()
-
-    def _begin_records(self) -> None:
-        """Let every emulated controller go on in a new file, before the one that it writes is full."""
-        self._begun += 1
-        before, self._records = self._records, {}
-        for name, panel in self._panels.items():
-            file = f"{name}-{self._begun}.csv"
-            panel.ask({"op": "record", "path": file})
-            self._records[name] = self._folder / file
-        for record in before.values():
-            record.unlink()
 
     def _status(self) -> RobotStatus:
         with connect(self.model.description, CLIENT) as cell:

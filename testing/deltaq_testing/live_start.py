@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 from deltaq_deploy.launch.launcher import Launcher
-from deltaq_deploy.launch.services import Role, Service, cell_services
+from deltaq_deploy.launch.services import cell_services
 from deltaq_testing.faults.controller import CellUseError
+from deltaq_testing.faults.live_cell import recorded
 from deltaq_testing.faults.panel import PanelClient, load_rsi_cell
 from deltaq_testing.live import LiveCell
 from deltaq_testing.private_cell import write_private_cell
@@ -33,9 +33,8 @@ def live_cell(folder: Path, cell: str | Path = "lab", robot: str | None = None) 
     load_rsi_cell(cell, robot)
     loaded = load_rsi_cell(write_private_cell(folder, cell))
     description = loaded.model.description
-    records = folder / "records"
-    records.mkdir()
-    services = [_recording(service, records) for service in cell_services(description, str(loaded.file))]
+    records = {name: folder / f"{name}.csv" for name in loaded.model.robots}
+    services = [recorded(service, records) for service in cell_services(description, str(loaded.file))]
     with ExitStack() as stack:
         # Ctrl-C ends the tests, whose end ends the cell
         launcher = stack.enter_context(Launcher(services, lambda *_: None, signals_raise=True))
@@ -47,12 +46,6 @@ def live_cell(folder: Path, cell: str | Path = "lab", robot: str | None = None) 
         live.begin()
         stack.callback(live.end_programs)
         yield live
-
-
-def _recording(service: Service, folder: Path) -> Service:
-    if service.role is not Role.EMULATOR:
-        return service
-    return replace(service, arguments=(*service.arguments, "--records", str(folder)))
 
 
 class LiveCells:

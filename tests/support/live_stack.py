@@ -182,7 +182,7 @@ def live_stack(
     cell = CellModel.load(file)
     record = folder / "fr.csv"
     services = [
-        replace(service, arguments=(*service.arguments, "--record", str(record), "--records", str(folder)))
+        replace(service, arguments=(*service.arguments, "--record", str(record)))
         if service.role is Role.EMULATOR and service.robot == "fr"
         else service
         for service in cell_services(cell.description, str(file))

@@ -6,7 +6,7 @@ cell that nobody has asked anything yet, starts one by `live_stack`.
 
 from __future__ import annotations
 
-import itertools
+import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -37,13 +37,12 @@ class SharedStack(Stack):
 
     file: Path
     recordings: Path
-    _records: Iterator[int]
 
     @classmethod
     def of(cls, stack: Stack, folder: Path) -> SharedStack:
         """Share this one; its files are in `folder`."""
         shared = cls(stack.launcher, stack.model, stack.record, stack._panel)
-        shared.file, shared.recordings, shared._records = folder / "private.yaml", folder, itertools.count(1)
+        shared.file, shared.recordings = folder / "private.yaml", folder
         services = stack.launcher.services
         console = console_service(stack.cell, str(shared.file), services, str(folder))
         # started by those who ask for them
@@ -59,10 +58,7 @@ class SharedStack(Stack):
                 self.launcher.restart(service.name)
         self._set_free()
         self._bring_home()
-        before, name = self.record, f"fr-{next(self._records)}.csv"
-        self.ask(op="record", path=name)
-        self.record = before.with_name(name)
-        before.unlink()
+        os.truncate(self.record, 0)
         self._unanswered_before += self.unanswered()
         return self
 

@@ -227,7 +227,7 @@ def moving_cell(loaded: LoadedCell, robot: str, needs: Needs, seed: int = 0) -> 
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         records = {name: folder / f"{name}.csv" for name in loaded.model.robots}
-        services = [_recorded(service, records) for service in cell_services(description, str(loaded.file))]
+        services = [recorded(service, records) for service in cell_services(description, str(loaded.file))]
         port, relay = description.tcp_port, None
         if needs.place is not None:
             relay = stack.enter_context(placed(needs.place, description, robot, seed))
@@ -246,7 +246,8 @@ def moving_cell(loaded: LoadedCell, robot: str, needs: Needs, seed: int = 0) -> 
         yield MovingCell(launcher, panel, records, relay, clocks)
 
 
-def _recorded(service: Service, records: dict[str, Path]) -> Service:
+def recorded(service: Service, records: dict[str, Path]) -> Service:
+    """The service, an emulated controller with the record that it is to write."""
     if service.role is not Role.EMULATOR or service.robot is None:
         return service
     return replace(service, arguments=(*service.arguments, "--record", str(records[service.robot])))
