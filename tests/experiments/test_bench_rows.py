@@ -10,11 +10,11 @@ from typing import Any
 import msgpack
 import pytest
 
-from deltaq_experiments.bench import cornered
-from deltaq_experiments.bench.cornered import CorneredError, store, stored
+from deltaq_experiments.bench.cornered import CorneredError, stored
 from deltaq_experiments.bench.decisions import near_obstacles
 from deltaq_experiments.bench.rsi_reply import standing_telegrams
 from deltaq_experiments.bench.table import BenchRow, BenchTable
+from deltaq_proofs import cornered
 from deltaq_protocol.codec import InvalidMessageError
 from deltaq_protocol.messages import Outcome, Verdict
 from deltaq_services.robot_server.rsi_driver import sensor_codec
@@ -97,7 +97,7 @@ def test_each_stored_situation_is_one_decision_near_an_obstacle(lab: LoadedCell)
 
 def test_situations_are_stored_to_the_last_bit(tmp_path: Path) -> None:
     file = tmp_path / "cornered"
-    store(stored(), file)
+    cornered.store(stored(), file)
     assert file.read_bytes() == cornered.FILE.read_bytes()
 
 
