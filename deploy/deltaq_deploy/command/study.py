@@ -25,7 +25,6 @@ class Experiment(StrEnum):
     TRACKING = "tracking"
     ZOOM = "zoom"
     COLLISION = "collision"
-    ATTACK = "attack"
     PEG_AND_VALVE = "peg-and-valve"
 
 
@@ -116,13 +115,6 @@ def experiment(
     from deltaq_deploy.command.console import print_json
     from deltaq_services.recorder.writer import RecordingError
 
-    if name is Experiment.ATTACK:
-        if live or figure is not None or record is not None:
-            raise typer.BadParameter(
-                "attack runs in virtual time, and takes --seed, --duration-s and --json alone"
-            )
-        _attack(cell, seed, duration_s or 60.0, json)
-        return
     if name is Experiment.PEG_AND_VALVE:
         if live or figure is not None or record is not None:
             raise typer.BadParameter(
@@ -186,21 +178,6 @@ def _run(name: Experiment, asked: dict[str, Any], figure: Path | None) -> dict[s
         title = f"{name.value}, controller {options.controller}, leader: {leads}, seed {options.seed}"
         draw(outcome.panels, title, figure)
     return report
-
-
-def _attack(cell: str, seed: int, duration_s: float, json: bool) -> None:
-    from deltaq_deploy.command.console import print_json, progress_bar
-    from deltaq_testing.attack import run
-
-    with progress_bar(f"attack, {duration_s:g} s") as move:
-        outcome = run(cell, seed=seed, duration_s=duration_s, on_cycle=move)
-    report = outcome.model_dump(mode="json")
-    if json:
-        print_json(report)
-    else:
-        _show(report | {"controller": "adversaries"})
-    if outcome.violations or any(report["limits"].values()):
-        raise typer.Exit(BAD)
 
 
 def _show(report: dict[str, Any]) -> None:
