@@ -19,7 +19,7 @@ from deltaq_cell.description import CellDescription
 from deltaq_cell.find import find_cell
 from deltaq_cell.load import load_located
 from deltaq_cell.models import RobotModelError
-from deltaq_cell.never_checked import SAMPLES, Pair, Why, farthest_apart, ordered, overlaps_in_part, samples
+from deltaq_cell.never_checked import SAMPLES, Pair, Why, distances, ordered, overlaps_in_part, samples
 from deltaq_cell.problems import CellError, Problem
 from deltaq_cell.proximity import ProximityEngine
 from deltaq_cell.robot import RobotModel
@@ -229,7 +229,7 @@ def _remedy(robot: RobotModel, pair: Pair, stop_m: float) -> str:
     if not all(name.startswith(f"{robot.name}/") for name in pair):
         return "choose another home, or name what the robot stands on in mounted_on"
     drawn = samples(robot.lower, robot.upper)
-    farthest = farthest_apart(robot.model, list(robot.geometry.geometryObjects), [pair], drawn, stop_m)[pair]
+    farthest = distances(robot.model, list(robot.geometry.geometryObjects), [pair], drawn).max()
     if farthest > stop_m:
         return "choose another home"
     return (

@@ -11,7 +11,7 @@ from data_sheet import describe
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.check import check_cell
 from deltaq_cell.models import RobotModelError
-from deltaq_cell.never_checked import SAMPLES, Why, farthest_apart, samples
+from deltaq_cell.never_checked import SAMPLES, Why, distances, samples
 from deltaq_cell.robot import RobotModel
 
 BALL = '<collision><geometry><sphere radius="{radius}"/></geometry></collision>'
@@ -55,7 +55,7 @@ def test_bodies_that_touch_at_home_but_not_everywhere_are_checked() -> None:
     model = robot(folded)
     pair = ("r/one", "r/three")
     bodies = list(model.geometry.geometryObjects)
-    assert farthest_apart(model.model, bodies, [pair], [model.home], 1.0)[pair] < 0
+    assert distances(model.model, bodies, [pair], [model.home]).max() < 0
     assert pair not in model.never_checked
 
 
