@@ -74,7 +74,7 @@ def let_go(page):
 
 
 @pytest.mark.nightly
-def test_an_option_is_shown_gone_to_while_held_left_and_cancelled(opened):
+def test_an_option_is_shown_gone_to_while_held_reached_and_cancelled(opened):
     page = opened()
     in_mode(page, "advisor")
     page.wait_for_function(f"document.querySelector('.card-option') && !{SEARCH}.is_busy")
@@ -95,6 +95,15 @@ def test_an_option_is_shown_gone_to_while_held_left_and_cancelled(opened):
     let_go(page)
     page.wait_for_function(f"{SEARCH}.driven < 1")
     assert page.evaluate(Q) != pytest.approx(before, abs=1e-3)
+    assert card.locator(".hold-to-go").text_content() == "Hold to continue"
+
+    # held again it goes on, to the end, and stays there however long it is held
+    hold(page, card.locator(".hold-to-go"), rank)
+    page.wait_for_function(f"{SEARCH}.arrived")
+    card.get_by_text("The robot is here").wait_for()
+    let_go(page)
+    option = page.evaluate("rank => deltaq.ways.of('gr', 'advisor').find((way) => way.rank === rank).q", rank)
+    assert page.evaluate(Q) == pytest.approx(option, abs=2e-3)
 
     page.get_by_role("button", name="Cancel").click()
     page.wait_for_function(f"{SEARCH}.way === null")
@@ -192,6 +201,27 @@ def test_a_pose_out_of_reach_or_behind_a_body_is_told_and_out_of_reach_cannot_be
     page.get_by_role("button", name="Back", exact=True).click()
     page.wait_for_function("deltaq.wayPicture.way === null")
     give_back(page)
+
+
+@pytest.mark.nightly
+def test_the_slider_of_the_view_distance_moves_a_camera_that_follows(opened):
+    page = opened()
+    in_mode(page, "decoupled", "fr")
+    follow = page.locator("[data-mode=follow]")
+    follow.hover()
+    page.mouse.down()  # held to begin
+    page.wait_for_function("deltaq.live.robot('fr').mode === 'follow'")
+    page.mouse.up()
+    slider = page.get_by_label("View distance", exact=True)
+    slider.scroll_into_view_if_needed()
+    for value in (1.2, 0.9):
+        slider.fill(str(value))
+        page.wait_for_function("value => deltaq.live.robot('fr').view_distance_m === value", arg=value)
+        page.wait_for_function("value => Math.abs(deltaq.picture.error().distance - value) < 0.03", arg=value)
+    slider.press("ArrowRight")
+    page.wait_for_function("deltaq.live.robot('fr').view_distance_m === 0.95")
+    assert "0.95 m" in page.locator(".field", has=slider).text_content()
+    give_back(page, "fr")
 
 
 @pytest.mark.nightly

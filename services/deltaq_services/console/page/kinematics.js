@@ -11,18 +11,6 @@ export function multiply(a, b, out) {
   return out;
 }
 
-/** Inverse of a rigid motion. */
-export function inverse(m) {
-  const out = identity();
-  for (let row = 0; row < 3; row++) {
-    for (let column = 0; column < 3; column++) out[4 * column + row] = m[4 * row + column];
-  }
-  for (let row = 0; row < 3; row++) {
-    out[12 + row] = -(out[row] * m[12] + out[4 + row] * m[13] + out[8 + row] * m[14]);
-  }
-  return out;
-}
-
 export function identity() {
   const out = new Float64Array(16);
   out[0] = out[5] = out[10] = out[15] = 1;
