@@ -34,7 +34,7 @@ import numpy as np
 from deltaq_cell.description import RobotDescription
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles, brake_travel
-from deltaq_protocol.messages import Outcome, Phase, RobotState, Vector3, Verdict
+from deltaq_protocol.messages import NearestPair, Outcome, Phase, RobotState, Vector3, Verdict
 from deltaq_protocol.reasons import ReasonCode
 
 VERSION = 2
@@ -59,82 +59,22 @@ _ROBOT = struct.Struct("<BBBBffHHff3f")
 _NAN3 = (math.nan, math.nan, math.nan)
 
 
-@dataclass(frozen=True)
-class WitnessedPair:
-    """The nearest bodies of the cell: their places in the scene's `bodies`, distance and points in the world [m]."""
+def pack_frame(
+    server_s: float, nearest: NearestPair | None, bodies: Mapping[str, int], robots: Sequence[bytes]
+) -> bytes:
+    """The bytes of a frame.
 
-    a: int = NO_BODY
-    b: int = NO_BODY
-    distance_m: float = math.nan
-    points_m: tuple[Vector3, Vector3] = (_NAN3, _NAN3)
-
-
-@dataclass(frozen=True)
-class RobotFrame:
-    """One robot of a frame; see the module for units.
-
-    Attributes:
-        phase: its phase.
-        outcome: of the last verdict; None without one.
-        is_stale: the state is too old to be acted upon.
-        is_braking: it follows a brake.
-        age_s: of the state.
-        clearance_m: of the tightest pair of the last verdict.
-        pair: indices of this pair in the scene's `bodies`.
-        admission: share of increments admitted whole in the last second.
-        longest_cycle_s: longest time between two states in the last second.
-        focus: what its camera looks at; None without one.
-        q: (n,) measured.
-        q_rest: (n,) configuration in which it would come to rest.
+    Args:
+        server_s: clock of the server [s].
+        nearest: the nearest bodies of the cell; None if they are not known.
+        bodies: place of each body in the scene's list, by name.
+        robots: what `RobotFeed.packed` has of each.
     """
-
-    phase: Phase
-    outcome: Outcome | None
-    is_stale: bool
-    is_braking: bool
-    age_s: float
-    clearance_m: float
-    pair: tuple[int, int]
-    admission: float
-    longest_cycle_s: float
-    focus: Vector3 | None
-    q: Array
-    q_rest: Array
-
-
-def pack_frame(server_s: float, nearest: WitnessedPair, robots: Sequence[RobotFrame]) -> bytes:
-    """The bytes of a frame."""
-    first, second = nearest.points_m
-    parts = [
-        _HEAD.pack(
-            VERSION,
-            len(robots),
-            0,
-            server_s,
-            nearest.a,
-            nearest.b,
-            nearest.distance_m,
-            *first,
-            *second,
-        )
-    ]
-    for robot in robots:
-        parts.append(
-            _ROBOT.pack(
-                len(robot.q),
-                PHASES.index(robot.phase),
-                NO_OUTCOME if robot.outcome is None else OUTCOMES.index(robot.outcome),
-                STALE * robot.is_stale + BRAKING * robot.is_braking,
-                robot.age_s,
-                robot.clearance_m,
-                *robot.pair,
-                robot.admission,
-                robot.longest_cycle_s,
-                *(robot.focus or _NAN3),
-            )
-        )
-        parts.append(np.concatenate([robot.q, robot.q_rest]).astype("<f4").tobytes())
-    return b"".join(parts)
+    near = [NO_BODY, NO_BODY, math.nan, *_NAN3, *_NAN3]
+    if nearest is not None:
+        places = (bodies.get(name, NO_BODY) for name in nearest.pair)
+        near = [*places, nearest.distance_m, *nearest.points_m[0], *nearest.points_m[1]]
+    return b"".join((_HEAD.pack(VERSION, len(robots), 0, server_s, *near), *robots))
 
 
 @dataclass(frozen=True)
@@ -203,8 +143,8 @@ class RobotFeed:
         """Whether the newest state is too old to be acted upon."""
         return now_s - self._state_s > STALE_S
 
-    def frame(self, now_s: float, focus: Vector3 | None) -> RobotFrame:
-        """What a frame shows at `now_s`.
+    def packed(self, now_s: float, focus: Vector3 | None) -> bytes:
+        """The robot's part of a frame at `now_s`.
 
         Args:
             now_s: time [s].
@@ -214,26 +154,26 @@ class RobotFeed:
             while waiting and waiting[0][0] < now_s - WINDOW_S:
                 waiting.popleft()
         verdict = self.verdict if now_s - self._verdict_s <= VERDICT_S else None
-        state = self.state
-        stale = self.is_stale(now_s)
+        state, age_s = self.state, now_s - self._state_s
         phase = Phase.OFFLINE if state is None else state.phase
+        is_braking = phase is Phase.BRAKING or (phase is Phase.HELD and bool(self._dq.any()))
         admitted = [outcome is Outcome.ADMITTED for _, outcome in self._outcomes]
-        gaps = [gap for _, gap in self._gaps]
-        if math.isfinite(self._state_s):
-            gaps.append(now_s - self._state_s)
-        return RobotFrame(
-            phase=phase,
-            outcome=None if verdict is None else verdict.outcome,
-            is_stale=stale,
-            is_braking=phase is Phase.BRAKING or (phase is Phase.HELD and bool(self._dq.any())),
-            age_s=now_s - self._state_s,
-            clearance_m=math.nan if verdict is None or verdict.clearance_m is None else verdict.clearance_m,
-            pair=self._places(None if verdict is None else verdict.pair),
-            admission=sum(admitted) / len(admitted) if admitted else math.nan,
-            longest_cycle_s=max(gaps, default=math.nan),
-            focus=focus,
-            q=self._home if state is None else np.array(state.q),
-            q_rest=self._rest(state),
+        gaps = [gap for _, gap in self._gaps] + ([age_s] if math.isfinite(age_s) else [])
+        q = self._home if state is None else np.array(state.q)
+        return (
+            _ROBOT.pack(
+                len(q),
+                PHASES.index(phase),
+                NO_OUTCOME if verdict is None else OUTCOMES.index(verdict.outcome),
+                STALE * self.is_stale(now_s) + BRAKING * is_braking,
+                age_s,
+                math.nan if verdict is None or verdict.clearance_m is None else verdict.clearance_m,
+                *self._places(None if verdict is None else verdict.pair),
+                sum(admitted) / len(admitted) if admitted else math.nan,
+                max(gaps, default=math.nan),
+                *(focus or _NAN3),
+            )
+            + np.concatenate([q, self._rest(state)]).astype("<f4").tobytes()
         )
 
     @property

@@ -6,8 +6,17 @@ from collections.abc import Mapping
 
 from deltaq_cell.description import CellDescription
 from deltaq_cell.roles import camera_roles
-from deltaq_protocol.messages import Phase, Proximity, RobotState, Sight, Vector3, Verdict, ViewTarget
-from deltaq_services.console.feed import NO_BODY, WitnessedPair, pack_frame
+from deltaq_protocol.messages import (
+    NearestPair,
+    Phase,
+    Proximity,
+    RobotState,
+    Sight,
+    Vector3,
+    Verdict,
+    ViewTarget,
+)
+from deltaq_services.console.feed import pack_frame
 from deltaq_services.console.messages import bound_of, phase_words, sight_words
 from deltaq_services.console.robot_side import RobotSide
 from deltaq_services.console.status_board import EventLog
@@ -31,7 +40,7 @@ class Picture:
         self._robots = robots
         self._watched = _watched(cell)
         self._log = log
-        self._nearest = WitnessedPair()
+        self._nearest: NearestPair | None = None
         self._phases: dict[str, tuple[Phase, str | None]] = {}
         self._views: dict[str, tuple[ViewTarget, Sight | None]] = {}
 
@@ -66,17 +75,12 @@ class Picture:
 
     def take_proximity(self, proximity: Proximity) -> None:
         """The nearest bodies of the cell."""
-        if not proximity.pairs:
-            self._nearest = WitnessedPair()
-            return
-        nearest = proximity.pairs[0]
-        a, b = (self._places.get(name, NO_BODY) for name in nearest.pair)
-        self._nearest = WitnessedPair(a, b, nearest.distance_m, nearest.points_m)
+        self._nearest = proximity.pairs[0] if proximity.pairs else None
 
     def frame(self, now_s: float) -> bytes:
         """The frame of this moment."""
-        robots = [side.feed.frame(now_s, self._focus(name)) for name, side in self._robots.items()]
-        return pack_frame(now_s, self._nearest, robots)
+        robots = [side.feed.packed(now_s, self._focus(name)) for name, side in self._robots.items()]
+        return pack_frame(now_s, self._nearest, self._places, robots)
 
     def _log_view(self, state: RobotState, arrived_s: float) -> None:
         """Tell what a camera looks at, and how well it sees it, when either changes."""

@@ -9,12 +9,13 @@ import asyncio
 import contextlib
 import re
 import sys
-from asyncio.subprocess import PIPE, STDOUT, Process
+from asyncio.subprocess import PIPE
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from deltaq_protocol.log import message_of
+from deltaq_services.console.driver_process import Child
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,120}\.mcap")
 _MOST_LISTED = 500
@@ -84,69 +85,40 @@ class RecorderProcess:
 
     def __init__(self, cell: str, began: Callable[[], None], ended: Callable[[str], None]) -> None:
         self._cell, self._began, self._ended = cell, began, ended
-        self._process: Process | None = None
-        self._running: asyncio.Task[None] | None = None
-        self._is_wanted = False
+        self._child = Child(self._said, self._has_ended, _ENDS_WITHIN_S, tells_errors=True)
+        self._has_begun = self._is_wanted = False
+        self._last = ""
 
     def start(self, file: Path) -> None:
         """Write a recording."""
-        self._is_wanted = True
-        self._running = asyncio.ensure_future(self._run(file))
+        self._is_wanted, self._has_begun, self._last = True, False, ""
+        where = ("--cell", self._cell, "--file", str(file))
+        self._child.start("-m", "deltaq_services.recorder", *where, "--until-input-ends")
 
     def stop(self) -> None:
         """Complete the recording."""
         self._is_wanted = False
-        if self._process is not None and self._process.stdin is not None:
-            self._process.stdin.close()
+        self._child.close()
 
     async def end(self) -> None:
         """Complete the recording, if one is written, and wait for it."""
-        if self._running is None or self._running.done():
-            return
-        self.stop()
-        with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(asyncio.shield(self._running), _ENDS_WITHIN_S)
-            return
-        if self._process is not None:
-            with contextlib.suppress(ProcessLookupError):
-                self._process.kill()
-        await self._running
+        self._is_wanted = False
+        await self._child.end()
 
-    async def _run(self, file: Path) -> None:
-        command = (
-            "-m",
-            "deltaq_services.recorder",
-            "--cell",
-            self._cell,
-            "--file",
-            str(file),
-            "--until-input-ends",
-        )
-        try:
-            self._process = process = await asyncio.create_subprocess_exec(
-                sys.executable, *command, stdin=PIPE, stdout=PIPE, stderr=STDOUT, start_new_session=True
-            )
-            assert process.stdin is not None  # pipes were asked for
-            assert process.stdout is not None
-            if not self._is_wanted:
-                process.stdin.close()
-            has_begun, last = False, ""
-            async for line in process.stdout:
-                last = message_of(line.decode(errors="replace").strip()) or last
-                if last.startswith(_READY) and not has_begun:
-                    has_begun = True
-                    self._began()
-            status = await process.wait()
-            if status == 0 and not self._is_wanted:
-                why = "" if has_begun else "it was ended before anything was written"
-            else:
-                why = (
-                    last.removeprefix("error: ")[:_LONGEST_TOLD] or f"the recorder ended with status {status}"
-                )
-        except OSError as error:
-            why = str(error)
-        self._process = None
-        self._ended(why)
+    def _said(self, line: bytes) -> None:
+        self._last = message_of(line.decode(errors="replace").strip()) or self._last
+        if self._last.startswith(_READY) and not self._has_begun:
+            self._has_begun = True
+            self._began()
+
+    def _has_ended(self, status: int | str) -> None:
+        if status == 0 and not self._is_wanted:
+            self._ended("" if self._has_begun else "it was ended before anything was written")
+        elif isinstance(status, str):
+            self._ended(status)
+        else:
+            why = self._last.removeprefix("error: ")[:_LONGEST_TOLD]
+            self._ended(why or f"the recorder ended with status {status}")
 
 
 class ReplayReader:
