@@ -58,13 +58,13 @@ def refused(bench, desk, kind, **fields):
         ("mode", {"mode": "coupled", "grip": "tight"}, "grip: "),
         ("jog", {"hand": "left", "wish": TWIST}, "hand: fr has no hand 'left'; it has tool"),
         ("jog", {"led": True}, "led: no master was chosen for fr; it may be gr"),
-        ("master", {"master": "fr"}, "master: 'fr' cannot lead fr; it may be gr"),
-        ("master", {"master": "xx"}, "master: 'xx' cannot lead fr; it may be gr"),
-        ("master", {"master": "gr", "scale": float("nan")}, "scale: "),
-        ("master", {"master": "gr", "scale": float("inf")}, "scale: "),
-        ("master", {"master": "gr", "scale": 0.0}, "bound 0.01"),
-        ("master", {"master": "gr", "scale": 9.0}, "bound 5"),
-        ("master", {"master": "g" * 65}, "master: "),
+        ("choose_master", {"master": "fr"}, "master: 'fr' cannot lead fr; it may be gr"),
+        ("choose_master", {"master": "xx"}, "master: 'xx' cannot lead fr; it may be gr"),
+        ("choose_master", {"master": "gr", "scale": float("nan")}, "scale: "),
+        ("choose_master", {"master": "gr", "scale": float("inf")}, "scale: "),
+        ("choose_master", {"master": "gr", "scale": 0.0}, "bound 0.01"),
+        ("choose_master", {"master": "gr", "scale": 9.0}, "bound 5"),
+        ("choose_master", {"master": "g" * 65}, "master: "),
     ],
 )
 def test_what_a_robot_with_one_hand_cannot_do_is_refused_counted_and_disturbs_nothing(
@@ -80,7 +80,7 @@ def test_what_a_robot_with_one_hand_cannot_do_is_refused_counted_and_disturbs_no
     [
         ("jog", {"hand": "third", "wish": TWIST}, "hand: dawm has no hand 'third'; it has left, right"),
         ("jog", {"hand": "*", "wish": [9.0, 0, 0, 0, 0, 0]}, "bound 0.5"),
-        ("master", {"master": "dawm"}, "no robot: there is no other in the cell"),
+        ("choose_master", {"master": "dawm"}, "no robot: there is no other in the cell"),
         ("mode", {"mode": "coupled", "grip": 1}, "grip: "),
     ],
 )
@@ -89,7 +89,7 @@ def test_what_a_robot_with_two_hands_cannot_do_is_refused(dawm, kind, fields, wo
     assert words in refused(bench, desk, kind, robot="dawm", **fields)
 
 
-@pytest.mark.parametrize(("kind", "fields"), [("mode", HOLD), ("master", {}), ("jog", {"led": True})])
+@pytest.mark.parametrize(("kind", "fields"), [("mode", HOLD), ("choose_master", {}), ("jog", {"led": True})])
 def test_who_does_not_hold_the_robot_neither_grips_nor_leads(dawm, kind, fields):
     bench, _ = dawm
     assert "desk has it" in refused(bench, bench.browser("tower"), kind, robot="dawm", **fields)
@@ -135,7 +135,7 @@ def test_a_hand_of_several_is_jogged_by_its_name(dawm):
 
 def test_a_master_is_chosen_couples_while_it_is_held_and_is_told(lab):
     bench, desk = lab
-    assert desk.send("master", robot="fr", master="gr", scale=0.5).outcome is ASKED
+    assert desk.send("choose_master", robot="fr", master="gr", scale=0.5).outcome is ASKED
     asked = bench.driver_requests("fr")[-1]
     assert (asked.master, asked.scale) == ("gr", 0.5)
     reports(bench, "fr", master="gr", master_scale=0.5)

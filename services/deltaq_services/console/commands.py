@@ -13,17 +13,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
 
+from deltaq_protocol import driving
 from deltaq_protocol.codec import place, shown
-from deltaq_protocol.driving import (
-    Coordinate,
-    DrivingMode,
-    Frame,
-    Grip,
-    MasterScale,
-    QuaternionPart,
-    StepCycles,
-    TradeOff,
-)
+from deltaq_protocol.driving import DrivingMode, Frame, Grip, StepCycles
 from deltaq_protocol.errors import ProtocolError
 from deltaq_protocol.messages import Joints, JointValue, Message, Name, Real
 from deltaq_protocol.messages.motion import MOST_TARGETS
@@ -38,7 +30,7 @@ EXPIRY_S = {
     "lease": _OTHER_S,
     "reset": _OTHER_S,
     "mode": _MOTION_S,
-    "master": _MOTION_S,
+    "choose_master": _MOTION_S,
     "jog": _MOTION_S,
     "view_distance": _MOTION_S,
     "look_at": _MOTION_S,
@@ -123,13 +115,10 @@ class SetMode(ConsoleCommand):
     grip: Grip | None = None
 
 
-class SetMaster(ConsoleCommand):
-    """Choose another robot of the cell, whose tool leads a hand while a `Jog` has `led`; an empty name means none."""
+class SetMaster(ConsoleCommand, driving.ChooseMaster):
+    """Choose another robot of the cell, whose tool leads a hand while a `Jog` has `led`."""
 
-    type: Literal["master"]
     robot: Name
-    master: Annotated[str, Field(max_length=64)] = ""
-    scale: MasterScale = 1.0
 
 
 class Jog(ConsoleCommand):
@@ -175,36 +164,22 @@ class SetOutput(ConsoleCommand):
     value: bool
 
 
-class AskAdvisor(ConsoleCommand):
-    """In mode `advisor`: look for options from where the robot rests, or end the search and forget the choice.
+class AskAdvisor(ConsoleCommand, driving.Advise):
+    """Look for options, or end the search and forget the choice."""
 
-    With `trade_off` they are points of the front of two criteria. With `hands_may_leave` hands may leave their place on
-    the way to an option, and come back.
-    """
-
-    type: Literal["advise"]
     robot: Name
-    action: Literal["ask", "cancel"]
-    trade_off: TradeOff | None = None
-    hands_may_leave: bool = False
 
 
-class DragPose(ConsoleCommand):
-    """In mode `pose`: plan the way that brings a hand to a pose in the world; nothing moves."""
+class DragPose(ConsoleCommand, driving.Reach):
+    """Plan the way that brings a hand to a pose in the world."""
 
-    type: Literal["reach"]
     robot: Name
-    hand: Annotated[str, Field(min_length=1, max_length=64)]
-    position_m: tuple[Coordinate, Coordinate, Coordinate]
-    quaternion_wxyz: tuple[QuaternionPart, QuaternionPart, QuaternionPart, QuaternionPart]
 
 
-class DragJoints(ConsoleCommand):
-    """In mode `pose`: plan the way to a configuration, (n,) [rad or m]; nothing moves."""
+class DragJoints(ConsoleCommand, driving.ReachJoints):
+    """Plan the way to a configuration."""
 
-    type: Literal["reach_joints"]
     robot: Name
-    q: Joints
 
 
 class DryRun(ConsoleCommand):
@@ -229,7 +204,9 @@ class ReplayShown(ConsoleCommand):
     shown: bool
 
 
-DriverCommand = SetMode | SetMaster | SetOutput | AskAdvisor | DragPose | DragJoints
+PassedOn = SetMaster | AskAdvisor | DragPose | DragJoints
+"""Requests of a robot's driver, as a browser sends them."""
+DriverCommand = SetMode | SetOutput | PassedOn
 """What a robot's driver is asked to do."""
 ViewCommand = ViewDistance | LookAt
 RobotCommand = Reset | LeaseCommand | ViewCommand | Jog | DryRun | DriverCommand

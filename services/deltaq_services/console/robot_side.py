@@ -12,12 +12,11 @@ from deltaq_protocol.messages import Phase, ViewTarget, ViewWish
 from deltaq_services.console.client import Client
 from deltaq_services.console.commands import (
     ALL_HANDS,
-    AskAdvisor,
-    DragJoints,
     DragPose,
     DriverCommand,
     DryRun,
     Jog,
+    PassedOn,
     SetMaster,
     SetMode,
     ViewCommand,
@@ -30,6 +29,8 @@ from deltaq_services.console.seat import Seat
 MOST_M_S, MOST_RAD_S = 0.5, 1.5
 """Greatest speeds at which a hand is moved by hand [m/s, rad/s]."""
 _TWIST = 6
+_OF_DRIVER = ("mode", "frame", "grip", "hands_off", "master", "master_scale", "goes_through", "search")
+"""What a driver reports and its browser is told as it is."""
 
 
 class RobotSide:
@@ -153,33 +154,23 @@ class RobotSide:
                 )
             settings = driving.OperatorCommand(mode=command.mode, frame=command.frame, grip=command.grip)
             return driving.GiveCommand(id=request, command=settings)
-        if isinstance(command, SetMaster):
-            if command.master and command.master not in self._others:
-                raise ValueError(
-                    f"master: {command.master!r} cannot lead {self.name}; it may be {self._may_lead}"
-                )
-            return driving.ChooseMaster(id=request, master=command.master, scale=command.scale)
-        if isinstance(command, AskAdvisor):
-            return driving.Advise(
-                id=request,
-                action=command.action,
-                trade_off=command.trade_off,
-                hands_may_leave=command.hands_may_leave,
-            )
-        if isinstance(command, DragJoints):
-            return driving.ReachJoints(id=request, q=command.q)
-        if isinstance(command, DragPose):
-            return driving.Reach(
-                id=request,
-                hand=self._hand(command.hand),
-                position_m=command.position_m,
-                quaternion_wxyz=command.quaternion_wxyz,
-            )
+        if isinstance(command, PassedOn):
+            return self._passed_on(command, request)
         names = tuple(self.outputs)
         if command.index >= len(names):
             raise ValueError(f"index: outputs of {self.name}: {len(names)}, got {command.index}")
         outputs = {names[command.index]: command.value}
         return driving.GiveCommand(id=request, command=driving.OperatorCommand(outputs=outputs))
+
+    def _passed_on(self, command: PassedOn, request: str) -> driving.DriverRequest:
+        given = command.model_dump(exclude={"robot", "sent_ms"}) | {"id": request}
+        if isinstance(command, SetMaster) and command.master not in ("", *self._others):
+            raise ValueError(
+                f"master: {command.master!r} cannot lead {self.name}; it may be {self._may_lead}"
+            )
+        if isinstance(command, DragPose):
+            given["hand"] = self._hand(command.hand)
+        return driving.REQUESTS.validate_python(given)
 
     def view_of(self, command: ViewCommand) -> ViewWish:
         """The view that a follower is asked for.
@@ -246,22 +237,15 @@ class RobotSide:
             text=text,
             remedy=remedy,
             lease=lease,
-            mode=None if report is None else report.mode,
-            frame="world" if report is None else report.frame,
-            grip="free" if report is None else report.grip,
-            hands_off=None if report is None else report.hands_off,
-            master="" if report is None else report.master,
-            master_scale=1.0 if report is None else report.master_scale,
             driving=said,
-            goes_through=1.0 if report is None else report.goes_through,
             view_distance_m=self._view_distance_m(),
             sight=None if state is None else state.sight,
             targets=() if state is None else _asked_for(state.view),
             looks_at="" if state is None or state.target is None else state.target.words(),
-            search=None if report is None else report.search,
             bound=self.bound,
             outputs=self.outputs,
             inputs=self.inputs,
+            **({} if report is None else {name: getattr(report, name) for name in _OF_DRIVER}),
         )
 
     def _view_distance_m(self) -> float | None:

@@ -14,7 +14,7 @@ const TAKE_OVER_MS = 1000;
 const [LATE_MS, TOLD_MS] = [5000, 4000];
 const TITLES = {
   take: "Take control", take_over: "Take over", release: "Release", grant: "Hand over", refuse: "Keep it",
-  lease: "Ask for it", reset: "Reset", mode: "Mode", output: "Output", view_distance: "View distance", look_at: "Looks at", master: "Master", advise: "Options",
+  lease: "Ask for it", reset: "Reset", mode: "Mode", output: "Output", view_distance: "View distance", look_at: "Looks at", choose_master: "Master", advise: "Options",
 };
 const ANSWERS = {
   done: () => "done", asked: () => "asked", refused: (text) => `refused, ${text}`, expired: (text) => `not done, ${text}`,

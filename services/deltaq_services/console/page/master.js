@@ -17,7 +17,7 @@ export function masterPanel({ live, scene, driven, wish }, ask) {
   );
   let shown = "";
 
-  const choose = () => scale.reportValidity() && ask("master", { master: select.value, scale: Number(scale.value) });
+  const choose = () => scale.reportValidity() && ask("choose_master", { master: select.value, scale: Number(scale.value) });
   select.addEventListener("change", choose);
   scale.addEventListener("change", () => select.value && choose());
   holds(couple, () => wish.hold("master", { led: true }), () => wish.release("master"));
