@@ -214,7 +214,7 @@ async def test_who_asks_before_there_is_a_session_waits_for_it():
 @pytest.mark.long
 async def test_a_command_and_a_tick_that_fail_are_told_and_the_browser_stays(tmp_path, monkeypatch, caplog):
     async with served(tmp_path) as (console, host), websockets.connect(live(host)) as browser:
-        monkeypatch.setattr(console.core.drivers, "obey", lambda *_: 1 / 0)
+        monkeypatch.setattr(console.core, "_command", lambda *_: 1 / 0)
         monkeypatch.setattr(console.core.picture, "frame", lambda _: 1 / 0)
         await told(browser, "hello")
         for id_ in ("a", "b"):

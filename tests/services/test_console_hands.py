@@ -36,7 +36,7 @@ def lab():
 
 def reports(bench, robot="dawm", **fields):
     report = driving.DriverReport(stage=driving.DriverStage.LEASED, mode=COUPLED, **fields)
-    bench.core.drivers.said(robot, report, bench.now_s)
+    bench.core.driver_said(robot, report, bench.now_s)
 
 
 def refused(bench, desk, kind, **fields):

@@ -122,14 +122,14 @@ def test_who_goes_while_the_lease_is_taken_does_not_keep_it(bench):
     lease(desk, "take")
     take = bench.driver_requests()[-1]
     bench.done(bench.core.disconnect(desk.client, bench.now_s))
-    bench.done(bench.core.drivers.said("fr", driving.DriverAnswer(id=take.id, done=True), bench.now_s))
+    bench.done(bench.core.driver_said("fr", driving.DriverAnswer(id=take.id, done=True), bench.now_s))
     bench.driver_answers()
     assert lease(bench.browser("tower"), "take").outcome is ASKED
 
 
 def test_a_driver_that_ended_leaves_nobody_waiting(bench, desk):
     desk.send("mode", id="m", robot="fr", mode="decoupled")
-    desk.hears(bench.core.drivers.ended("fr", "signal 9", bench.now_s))
+    desk.hears(bench.core.driver_ended("fr", "signal 9", bench.now_s))
     assert "signal 9" in desk.acks("m")[-1].text
     assert desk.send("jog", **JOG).outcome is REFUSED
     assert desk.status().robots["fr"].lease.holder is None
@@ -140,14 +140,14 @@ def test_a_lease_that_was_lost_is_told(bench, desk):
     lost = driving.DriverReport(
         stage=driving.DriverStage.FREE, mode=driving.DrivingMode.JOINT, doing="taken by another"
     )
-    bench.core.drivers.said("fr", lost, bench.now_s)
+    bench.core.driver_said("fr", lost, bench.now_s)
     assert desk.send("jog", **JOG).outcome is REFUSED
     assert not desk.status().robots["fr"].lease.mine
     assert any("taken by another" in text for text in desk.events("lease"))
 
 
 def test_an_answer_that_nobody_waits_for_changes_nothing(bench, desk):
-    bench.core.drivers.said("fr", driving.DriverAnswer(id="r999", done=False), bench.now_s)
+    bench.core.driver_said("fr", driving.DriverAnswer(id="r999", done=False), bench.now_s)
     assert desk.send("jog", **JOG).outcome is DONE
 
 
@@ -323,7 +323,7 @@ def test_a_robot_that_follows_is_released_at_once_when_its_page_has_gone(bench, 
     report = driving.DriverReport(
         stage=driving.DriverStage.LEASED, mode=driving.DrivingMode.FOLLOW, doing="follows"
     )
-    bench.core.drivers.said("fr", report, bench.now_s)
+    bench.core.driver_said("fr", report, bench.now_s)
     goes(bench, anna)
     assert isinstance(bench.driver_requests()[-1], driving.Release)
 
@@ -364,7 +364,7 @@ def test_while_the_hli_is_silent_nobody_is_said_to_have_control_elsewhere_and_it
     lost = driving.DriverReport(
         stage=driving.DriverStage.FREE, mode=driving.DrivingMode.JOINT, doing="the HLI is gone"
     )
-    bench.core.drivers.said("fr", lost, bench.now_s)
+    bench.core.driver_said("fr", lost, bench.now_s)
     told = anna.status().robots["fr"].lease
     assert (told.holder, told.outside) == (None, False)
     assert told.text == "Anna has lost control: the HLI is gone"

@@ -76,14 +76,14 @@ def test_the_advisor_is_asked_again_and_cancelled(bench, desk):
 def test_ways_are_told_to_all_who_look_on_and_to_who_comes_later(bench, desk):
     eve = bench.browser("eve", operator=False)
     said = driving.DriverWays(mode=driving.DrivingMode.POSE, ways=(WAY,))
-    outputs = bench.done(bench.core.drivers.said("fr", said, bench.now_s))
+    outputs = bench.done(bench.core.driver_said("fr", said, bench.now_s))
     expected = WaysView(robot="fr", mode=driving.DrivingMode.POSE, ways=(WAY,))
     late = bench.browser("late")
     for browser in (desk, eve):
         browser.hears(outputs)
     for browser in (desk, eve, late):
         assert [message for message in browser.got if isinstance(message, WaysView)] == [expected]
-    bench.core.drivers.ended("fr", "signal 9", bench.now_s)
+    bench.core.driver_ended("fr", "signal 9", bench.now_s)
     assert not [message for message in bench.browser("later").got if isinstance(message, WaysView)]
 
 
@@ -92,7 +92,7 @@ def test_how_far_a_search_is_is_part_of_the_status(bench, desk):
     report = driving.DriverReport(
         stage=driving.DriverStage.LEASED, mode=driving.DrivingMode.ADVISOR, search=search
     )
-    bench.core.drivers.said("fr", report, bench.now_s)
+    bench.core.driver_said("fr", report, bench.now_s)
     assert desk.status().robots["fr"].search == search
     assert desk.status().robots["gr"].search is None
 

@@ -50,7 +50,7 @@ class ConsoleBench:
         """The driver answers the newest request that has an id."""
         request = [each for each in self.driver_requests(robot) if each.id is not None][-1]
         answer = driving.DriverAnswer(id=request.id, done=done, text=text)
-        return self.done(self.core.drivers.said(robot, answer, self.now_s))
+        return self.done(self.core.driver_said(robot, answer, self.now_s))
 
     def state(self, phase=Phase.READY, reason=None, moved=0.0, robot="fr", tool=POSE, **fields):
         """A state comes, whose first joint has moved on by so much [rad]."""

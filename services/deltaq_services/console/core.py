@@ -16,15 +16,21 @@ from deltaq_services.console.client import Client, ClockOffset
 from deltaq_services.console.commands import (
     EXPIRY_S,
     AnyCommand,
+    DryRun,
     InvalidCommandError,
+    Jog,
+    LeaseCommand,
+    LeaseVerb,
     Ping,
     Record,
     ReplayShown,
+    Reset,
+    RobotCommand,
     Stop,
+    ViewCommand,
     command_of,
 )
-from deltaq_services.console.driver_desk import DriverDesk
-from deltaq_services.console.messages import Ack, AckOutcome, ConsoleHello, Pong, bound_of
+from deltaq_services.console.messages import Ack, AckOutcome, ConsoleHello, Pong, WaysView, bound_of
 from deltaq_services.console.outputs import (
     AskHli,
     ConsoleOutput,
@@ -35,8 +41,10 @@ from deltaq_services.console.outputs import (
 )
 from deltaq_services.console.picture import Picture
 from deltaq_services.console.robot_side import RobotSide
+from deltaq_services.console.seat import Handled
 from deltaq_services.console.status_board import EventLog, RecordingDesk, StatusBoard, StopProgress
 
+_WAITED_FOR = (LeaseVerb.TAKE, LeaseVerb.TAKE_OVER, LeaseVerb.RELEASE)
 MOST_CLIENTS = 32
 AWAY_S = 5.0
 """A page that is loaded anew within this keeps its name and its robots, which rest meanwhile."""
@@ -61,7 +69,6 @@ class ConsoleCore:
         stop: how far the newest stop is.
         board: what browsers are told when it changes.
         desk: the recording that is being written.
-        drivers: what is asked of robots and their drivers.
     """
 
     def __init__(
@@ -92,7 +99,6 @@ class ConsoleCore:
         self._token_needed = token_needed
         self._numbers = itertools.count(1)
         self._pending = PendingRequests()
-        self.drivers = DriverDesk(self.robots, self.clients, self._pending, self._log, self.counters)
 
     def connect(
         self, name: str, is_operator: bool, now_s: float, address: str = "", session: str = "", page: str = ""
@@ -134,12 +140,12 @@ class ConsoleCore:
         self.board.forget(client)
         if client.session and not client.shows_replay:
             self._away[client.session] = (now_s + AWAY_S, client)
-            return self.drivers.rest(client)
+            return self._rest(client)
         return self._left(client, now_s)
 
     def _left(self, client: Client, now_s: float) -> list[ConsoleOutput]:
         self._log.add(now_s, "client", f"{client.name} has disconnected")
-        return self.drivers.leave(client)
+        return self._leave(client)
 
     def _free_name(self, name: str, is_operator: bool) -> str:
         """The name that a browser gave itself, with a number if another has it."""
@@ -210,6 +216,42 @@ class ConsoleCore:
             ack = ack.model_copy(update=told)
         return [ToClient(client.number, client.answer(ack))]
 
+    def driver_said(self, robot: str, said: driving.DriverMessage, now_s: float) -> list[ConsoleOutput]:
+        """A line of a robot's driver."""
+        side = self.robots[robot]
+        if isinstance(said, driving.DriverWays):
+            side.ways = WaysView(robot=robot, mode=said.mode, ways=said.ways)
+            return [ToClient(number, side.ways) for number in self.clients]
+        if isinstance(said, driving.DriverReport):
+            side.report = said
+            if said.stage is driving.DriverStage.FREE and side.seat.lost(said.doing):
+                self._log.add(now_s, "lease", f"the lease was lost: {said.doing}", robot)
+            return []
+        client, command, asked = self._pending.answered(said.id)
+        outputs: list[ConsoleOutput] = []
+        if isinstance(asked, ToDriver):
+            self.counters["refused_by_driver"] += not said.done
+            handled = side.seat.answered(asked.request, said, self._pending.new_id)
+            self._tell(handled, robot, now_s)
+            outputs += self._pending.send(handled.requests, None, "")
+        if client is not None and client.number in self.clients:
+            outcome = AckOutcome.DONE if said.done else AckOutcome.REFUSED
+            outputs.append(acknowledged(client, command, outcome, said.text))
+        return outputs
+
+    def driver_ended(self, robot: str, text: str, now_s: float) -> list[ConsoleOutput]:
+        """A robot's driver is gone: its open requests were not carried out."""
+        side = self.robots[robot]
+        side.seat.driver_ended()
+        side.report = None
+        side.ways = None
+        self._log.add(now_s, "lease", f"the driver has ended: {text}", robot)
+        return [
+            acknowledged(client, command, AckOutcome.REFUSED, f"the driver has ended: {text}")
+            for client, command, _ in self._pending.given_up(robot)
+            if client is not None and client.number in self.clients
+        ]
+
     def unconfirmed(self, why: str, now_s: float) -> None:
         """Nobody has confirmed the stop in time; it is asked again all the same."""
         self._log.add(now_s, "stop", f"the stop is not confirmed: {why} Use the emergency stop.")
@@ -256,7 +298,7 @@ class ConsoleCore:
             for side in self.robots.values()
             if side.seat.holder is not None
         ]
-        return [*self._pending.ask(client, command.id, AskHli(self._pending.new_id(), "stop")), *rest]
+        return [*self._pending.ask(client, command.id, AskHli("stop")), *rest]
 
     def _obey(self, client: Client, command: AnyCommand, now_s: float) -> list[ConsoleOutput]:
         """Carry a command out, or raise `ValueError` with the reason why not."""
@@ -277,9 +319,80 @@ class ConsoleCore:
                 now_s, "recording", begins if to_recorder.file else f"{client.name} ends the recording"
             )
             return [to_recorder, acknowledged(client, command.id, AckOutcome.DONE, "")]
-        return self.drivers.obey(client, command, now_s)
+        return self._command(client, command, now_s)
 
     def _replay(self, client: Client, shown: bool) -> list[ConsoleOutput]:
         """A browser shows a recording from now on, or no more: what it drives rests and is released, for others."""
         client.shows_replay = shown
-        return self.drivers.leave(client) if shown else []
+        return self._leave(client) if shown else []
+
+    def _leave(self, client: Client) -> list[ConsoleOutput]:
+        """A client commands no more: robots that it drives come to rest and are released."""
+        outputs: list[ConsoleOutput] = []
+        for side in self.robots.values():
+            outputs += self._pending.send(side.seat.leave(client, self._pending.new_id), None, "")
+        return outputs
+
+    def _rest(self, client: Client) -> list[ConsoleOutput]:
+        """A client's page is gone, maybe for a moment: what it drives rests; what moves by itself is released."""
+        outputs: list[ConsoleOutput] = []
+        for side in self.robots.values():
+            if side.seat.holder is not client:
+                continue
+            if side.report is not None and side.report.mode is driving.DrivingMode.FOLLOW:
+                outputs += self._pending.send(side.seat.leave(client, self._pending.new_id), None, "")
+            else:
+                outputs.append(ToDriver(side.name, driving.GiveCommand()))
+        return outputs
+
+    def _command(self, client: Client, command: RobotCommand, now_s: float) -> list[ConsoleOutput]:
+        """Carry out what an operator asks of a robot, or raise `ValueError` with the reason why not."""
+        side = self.robots.get(command.robot)
+        if side is None:
+            raise ValueError(
+                f"robot: the cell has no robot {command.robot!r}; it has {', '.join(self.robots)}"
+            )
+        if isinstance(command, Reset):
+            return self._pending.ask(client, command.id, AskHli("reset", side.name))
+        if isinstance(command, DryRun):
+            return self._pending.ask(client, command.id, AskHli("dry_run", side.name, side.checked(command)))
+        if isinstance(command, LeaseCommand):
+            return self._lease(client, command, side, now_s)
+        if isinstance(command, ViewCommand):  # for whoever follows with the robot, here or elsewhere
+            asked = AskHli("view", side.name, view=side.view_of(command))
+            return self._pending.ask(client, command.id, asked)
+        if not side.seat.is_held_by(client):
+            holder = side.seat.holder
+            raise ValueError(
+                f"robot: {side.name} is not yours to move: "
+                + ("take it" if holder is None else f"{holder.name} has it")
+            )
+        if isinstance(command, Jog):
+            wish = side.wish_of(command)
+            cannot = side.cannot_move(now_s)
+            if cannot:
+                raise ValueError(cannot)
+            return [ToDriver(side.name, wish), acknowledged(client, command.id, AckOutcome.DONE, "")]
+        request = side.request_of(command, self._pending.new_id())
+        sent = self._pending.send([ToDriver(side.name, request)], client, command.id)
+        return [*sent, acknowledged(client, command.id, AckOutcome.ASKED, "asked")]
+
+    def _lease(
+        self, client: Client, command: LeaseCommand, side: RobotSide, now_s: float
+    ) -> list[ConsoleOutput]:
+        handled = side.seat.handle(client, command.action, self._pending.new_id)
+        if handled.refusal:
+            raise ValueError(f"action: {handled.refusal}")
+        self._tell(handled, side.name, now_s)
+        if command.action is LeaseVerb.TAKE_OVER and not handled.is_done:
+            from_whom = side.outside_holder or "nobody"
+            self._log.add(now_s, "lease", f"{client.name} takes {side.name} from {from_whom}", side.name)
+        # who grants a robot is not told when it was taken by another
+        waits = client if command.action in _WAITED_FOR else None
+        outcome = AckOutcome.ASKED if waits is not None and not handled.is_done else AckOutcome.DONE
+        sent = self._pending.send(handled.requests, waits, command.id)
+        return [*sent, acknowledged(client, command.id, outcome, "")]
+
+    def _tell(self, handled: Handled, robot: str, now_s: float) -> None:
+        if handled.told:
+            self._log.add(now_s, "lease", handled.told, robot)

@@ -25,11 +25,11 @@ class ToClient:
 class AskHli:
     """Ask the HLI, and give the core its answer to `request`; `client` is the sender's name for the audit log."""
 
-    request: str
     kind: Literal["stop", "reset", "dry_run", "view"]
     robot: str = ""
     dq: tuple[float, ...] = ()
     view: ViewWish = field(default_factory=ViewWish)
+    request: str = ""
     client: str = "console"
 
 
@@ -68,7 +68,7 @@ class PendingRequests:
 
     def ask(self, client: Client, command: str, asked: AskHli) -> list[ConsoleOutput]:
         """Ask the HLI, and tell the client so."""
-        asked = replace(asked, client=client.in_the_audit_log)
+        asked = replace(asked, request=self.new_id(), client=client.in_the_audit_log)
         self._asked[asked.request] = (client, command, asked)
         return [asked, acknowledged(client, command, AckOutcome.ASKED, "asked")]
 

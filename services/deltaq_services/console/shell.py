@@ -325,10 +325,10 @@ class Console:
             await asyncio.sleep(_STOP_AGAIN_S)
 
     def _driver_said(self, robot: str, said: driving.DriverMessage) -> None:
-        self._carry_out(self.core.drivers.said(robot, said, self.now_s()))
+        self._carry_out(self.core.driver_said(robot, said, self.now_s()))
 
     def _driver_ended(self, robot: str, why: str) -> None:
-        self._carry_out(self.core.drivers.ended(robot, why, self.now_s()))
+        self._carry_out(self.core.driver_ended(robot, why, self.now_s()))
 
     async def _tick(self) -> None:
         next_s, ticks = time.monotonic(), 0
