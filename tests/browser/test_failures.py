@@ -13,13 +13,16 @@ HOUR_MS = 3_600_000
 
 
 class Line:
-    """The page's live WebSocket, which can be cut: then nothing passes, and nobody is told."""
+    """The page's live WebSocket, which can be cut: then nothing passes, nobody is told, and no new one is had."""
 
     def __init__(self):
         self.is_cut = False
         self.sent = []
 
     def route(self, websocket):
+        if self.is_cut:
+            websocket.close()
+            return
         server = websocket.connect_to_server()
 
         def to_server(message):

@@ -26,10 +26,12 @@ def in_mode(page, mode, robot="gr"):
     page.get_by_role("button", name="Take control").click()
     page.wait_for_function(
         "robot => (deltaq.live.robot(robot).lease.mine && deltaq.live.robot(robot).mode)"
-        " || document.querySelector('.answer').textContent",
+        " || !['asked', 'done'].includes(document.querySelector('.answer').dataset.outcome ?? 'asked')",
         arg=robot,
     )
-    assert page.locator(".answer").first.text_content() == ""
+    assert page.evaluate("robot => deltaq.live.robot(robot).lease.mine", robot), page.locator(
+        ".answer"
+    ).first.text_content()
     page.locator(f"[data-mode={mode}]").click()
     page.wait_for_function("([robot, mode]) => deltaq.live.robot(robot).mode === mode", arg=[robot, mode])
 
