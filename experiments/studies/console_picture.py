@@ -33,7 +33,7 @@ FLAGS = (
     "--no-first-run",
 )
 _TIMEOUT_MS = 60_000
-_WIDE: ViewportSize = {"width": 1440, "height": 860}
+WIDE: ViewportSize = {"width": 1440, "height": 860}
 _PHONE: ViewportSize = {"width": 390, "height": 844}
 # keys of the hand's directions, and for how long each is held [ms]: there and back
 _WAY = (("KeyF", 2500), ("KeyD", 2500), ("KeyW", 2000), ("KeyR", 2500), ("KeyA", 2500), ("KeyS", 2000))
@@ -69,25 +69,26 @@ def take_pictures(url: str, folder: Path, chromium: str) -> None:
     """
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
-        page = _opened(browser, url, _WIDE)
+        page = opened(browser, url, WIDE)
         _follow(page)
         _drive(page, folder / "console.png")
         _ask_the_advisor(page)
         _save(page, folder / "console-advisor.png")
         _put_a_pose(page)
         _save(page, folder / "console-pose.png")
-        _in_mode(page, "coupled")
+        in_mode(page, "coupled")
         page.locator("[data-part=look]").click()
         page.locator(".opener").click()
         _save(page, folder / "console-light.png")
         for robot in ("gr", "fr"):
             page.evaluate("robot => deltaq.live.send('lease', {robot, action: 'release'})", robot)
         page.close()
-        _save(_opened(browser, url, _PHONE), folder / "console-phone.png")
+        _save(opened(browser, url, _PHONE), folder / "console-phone.png")
         browser.close()
 
 
-def _opened(browser: Browser, url: str, size: ViewportSize) -> Page:
+def opened(browser: Browser, url: str, size: ViewportSize) -> Page:
+    """The page of the console, with the cell drawn."""
     # playwright waits by scripts that the page's policy refuses
     page = browser.new_page(viewport=size, color_scheme="dark", bypass_csp=True)
     page.set_default_timeout(_TIMEOUT_MS)
@@ -97,7 +98,8 @@ def _opened(browser: Browser, url: str, size: ViewportSize) -> Page:
     return page
 
 
-def _take(page: Page, robot: str) -> None:
+def take(page: Page, robot: str) -> None:
+    """Take control of a robot."""
     page.locator(f"[data-robot={robot}]").click()
     page.get_by_role("button", name="Take control").click()
     page.wait_for_function(
@@ -107,7 +109,7 @@ def _take(page: Page, robot: str) -> None:
 
 def _follow(page: Page) -> None:
     """Have `fr` follow the hand of `gr` with its camera."""
-    _take(page, "fr")
+    take(page, "fr")
     until_s = time.monotonic() + _COMPILES_S
     while page.evaluate("deltaq.live.robot('fr').mode") != "follow":
         if time.monotonic() > until_s:
@@ -118,8 +120,8 @@ def _follow(page: Page) -> None:
 
 def _drive(page: Page, file: Path) -> None:
     """Take `gr`, move its hand to and fro until the plots are full, and take a picture while it moves."""
-    _take(page, "gr")
-    _in_mode(page, "coupled")
+    take(page, "gr")
+    in_mode(page, "coupled")
     until_s = time.monotonic() + _PLOTTED_S
     for key, held_ms in itertools.cycle(_WAY):
         page.keyboard.down(key)
@@ -146,7 +148,7 @@ def _taken_in_motion(page: Page, file: Path) -> bool:
     return bool(page.evaluate("deltaq.live.robot('gr').phase === 'engaged' && !window.wentGrey"))
 
 
-def _in_mode(page: Page, mode: str) -> None:
+def in_mode(page: Page, mode: str) -> None:
     """Drive `gr` in that mode."""
     page.locator(f"[data-mode={mode}]").click()
     page.wait_for_function("mode => deltaq.live.robot('gr').mode === mode", arg=mode)
@@ -154,7 +156,7 @@ def _in_mode(page: Page, mode: str) -> None:
 
 def _ask_the_advisor(page: Page) -> None:
     """Have the best option shown."""
-    _in_mode(page, "advisor")
+    in_mode(page, "advisor")
     page.wait_for_function(
         "document.querySelector('.card-option') && !deltaq.live.robot('gr').search.is_busy"
     )
@@ -164,7 +166,7 @@ def _ask_the_advisor(page: Page) -> None:
 
 def _put_a_pose(page: Page) -> None:
     """Put the hand's pose into the first tank, where no way leads."""
-    _in_mode(page, "pose")
+    in_mode(page, "pose")
     page.wait_for_function("deltaq.gizmo.root.visible")
     tank = page.evaluate(
         "deltaq.scene.structure.find(({name}) => name.includes('tank')).T_world.slice(12, 15)"
@@ -197,19 +199,20 @@ def _write(page: Page, file: Path) -> None:
         picture.convert("RGB").save(file, optimize=True)
 
 
-def main() -> None:
-    """Take the pictures that the command line asks for."""
-    parser = argparse.ArgumentParser(
-        prog="python -m studies.console_picture",
-        description="Take pictures of the console before a running cell.",
-    )
-    parser.add_argument("folder", type=Path, help="folder to write to")
+def parser_of(program: str, description: str) -> argparse.ArgumentParser:
+    """A parser that asks where the console and the browser are."""
+    parser = argparse.ArgumentParser(prog=f"python -m studies.{program}", description=description)
     parser.add_argument(
         "--url", default="http://127.0.0.1:7480", help="of the console (default: %(default)s)"
     )
     parser.add_argument(
         "--chromium", default=shutil.which("chromium"), help="the browser (default: %(default)s)"
     )
+    return parser
+
+
+def options_of(parser: argparse.ArgumentParser) -> argparse.Namespace:
+    """The options of the command line, once the console and the browser are found there."""
     options = parser.parse_args()
     if options.chromium is None:
         parser.error("Chromium is not installed; name it with --chromium")
@@ -220,6 +223,14 @@ def main() -> None:
             pass
     except OSError as error:
         parser.error(f"no console answers at {options.url} ({error}); start the cell first (`deltaq up`)")
+    return options
+
+
+def main() -> None:
+    """Take the pictures that the command line asks for."""
+    parser = parser_of("console_picture", "Take pictures of the console before a running cell.")
+    parser.add_argument("folder", type=Path, help="folder to write to")
+    options = options_of(parser)
     take_pictures(options.url, options.folder, options.chromium)
 
 
