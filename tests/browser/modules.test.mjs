@@ -719,10 +719,10 @@ test("of one hand nothing is chosen; of two the key goes from both to each and t
 });
 
 test("it is told whether an object is held, and by how much the hands are off", () => {
-  assert.match(hands.gripWords("object", null, "object"), /is taken as soon as/);
+  assert.match(hands.gripWords("object", null, "object"), /take the object once/);
   assert.equal(
     hands.gripWords("object", { distance_m: 0.0012, angle_rad: 0.01 }, "object"),
-    "Object held. The hands are off their grasp by 1.2 mm, 0.57°.",
+    "Object held. The hands have slipped by 1.2 mm, 0.57°.",
   );
   assert.doesNotMatch(hands.gripWords("free", null, "left"), /held/);
 });

@@ -31,6 +31,17 @@ def test_a_click_is_answered_in_words_whatever_becomes_of_it(alone, answers, tol
     page.locator(".answer", has_text=told).wait_for()
 
 
+def test_who_takes_a_robot_is_told_to_wait_for_its_driver_and_when_it_is_there(alone):
+    page = alone()
+    page.evaluate("line.answers = {outcome: 'asked'}")
+    page.evaluate("window.setTimeout = ((late) => (act, ms) => late(act, ms === 5000 ? 0 : ms))(setTimeout)")
+    page.get_by_role("button", name="Take control").click()
+    page.locator(".answer", has_text="Take control: asked, the robot's driver gets ready.").wait_for()
+    id_ = page.evaluate("line.sent.findLast(({type}) => type === 'lease').id")
+    page.evaluate("id => line.sockets[0].says({type: 'ack', id, outcome: 'done', text: ''})", id_)
+    page.locator(".answer", has_text="Take control: done.").wait_for()
+
+
 def test_a_request_for_a_robot_stays_over_the_cell_until_it_is_answered_also_for_a_robot_that_is_not_shown(
     alone,
 ):

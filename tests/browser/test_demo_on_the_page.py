@@ -6,12 +6,12 @@ import subprocess
 
 import pytest
 from commands import PROGRAM
-from conftest import TIMEOUT_MS
+from conftest import SLOW_SCREEN, TIMEOUT_MS
 from test_page import Q
 
 from deltaq_testing.private_cell import write_private_cell
 
-pytestmark = [pytest.mark.browser, pytest.mark.live, pytest.mark.nightly, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.browser, pytest.mark.live, pytest.mark.nightly, pytest.mark.timeout(900)]
 
 
 @pytest.fixture
@@ -30,7 +30,8 @@ def demo(tmp_path):
 def test_the_demonstration_is_seen_steered_and_stopped_in_a_browser(chromium, demo):
     running, url = demo
     page = chromium.new_context(viewport={"width": 1000, "height": 560}, bypass_csp=True).new_page()
-    page.set_default_timeout(TIMEOUT_MS)
+    page.set_default_timeout(3 * TIMEOUT_MS)  # two controllers take what the browser would need
+    page.add_init_script(SLOW_SCREEN)
     page.goto(url)
     page.wait_for_selector("[data-ready=true]", state="attached")
     page.wait_for_function("deltaq.live.status?.hli && !deltaq.live.isStale()")
@@ -49,7 +50,7 @@ def test_the_demonstration_is_seen_steered_and_stopped_in_a_browser(chromium, de
     page.locator("[data-robot=fr]").click()
     page.locator(".lease", has_text="has control. It is not a browser at this console.").wait_for()
     wanted_m = 1.3
-    page.get_by_label("View distance", exact=True).fill(str(wanted_m))
+    page.get_by_role("slider", name="View distance").fill(str(wanted_m))
     page.wait_for_function("wanted => Math.abs(deltaq.picture.error().distance - wanted) < 0.1", arg=wanted_m)
 
     page.keyboard.press("Escape")

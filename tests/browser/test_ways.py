@@ -26,7 +26,7 @@ def in_mode(page, mode, robot="gr"):
     page.get_by_role("button", name="Take control").click()
     page.wait_for_function(
         "robot => (deltaq.live.robot(robot).lease.mine && deltaq.live.robot(robot).mode)"
-        " || !['asked', 'done'].includes(document.querySelector('.answer').dataset.outcome ?? 'asked')",
+        " || ['refused', 'expired', 'not_sent'].includes(document.querySelector('.answer').dataset.outcome)",
         arg=robot,
     )
     assert page.evaluate("robot => deltaq.live.robot(robot).lease.mine", robot), page.locator(
@@ -214,7 +214,7 @@ def test_the_slider_of_the_view_distance_moves_a_camera_that_follows(opened):
     page.mouse.down()  # held to begin
     page.wait_for_function("deltaq.live.robot('fr').mode === 'follow'")
     page.mouse.up()
-    slider = page.get_by_label("View distance", exact=True)
+    slider = page.get_by_role("slider", name="View distance")
     slider.scroll_into_view_if_needed()
     for value in (1.2, 0.9):
         slider.fill(str(value))

@@ -214,7 +214,7 @@ def test_on_an_old_picture_nothing_moves(driving_anna, bench):
     bench.now_s += 0.3
     ack = driving_anna.send("jog", **JOG)
     assert ack.outcome is REFUSED
-    assert "what is shown is old" in ack.text
+    assert "the picture is old" in ack.text
 
 
 def test_a_held_robot_says_why_it_does_not_move_and_what_to_do(driving_anna, bench):

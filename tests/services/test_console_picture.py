@@ -110,7 +110,7 @@ def test_the_log_tells_what_a_camera_looks_at_and_when_it_does_not_see_it(bench)
     told = [(event.robot, event.text) for event in bench.core._log.news(bench.now_s) if event.kind == "view"]
     assert told == [
         ("fr", "its camera looks at gr"),
-        ("fr", "a body hides what its camera looks at (view_hidden)"),
+        ("fr", "a body hides its camera's target (view_hidden)"),
         ("fr", "its camera looks at 1,0,0"),
         ("fr", "its camera sees its target"),
     ]

@@ -17,7 +17,7 @@ POSE = ToolPose(position=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
         (Sight.FRESH, "engaged"),
         (Sight.STALE, "engaged, and its view of the leader is stale (view_stale)"),
         (Sight.LOST, "engaged, and its view of the leader is lost (view_lost)"),
-        (Sight.HIDDEN, "engaged, and a body hides what its camera looks at (view_hidden)"),
+        (Sight.HIDDEN, "engaged, and a body hides its camera's target (view_hidden)"),
     ],
 )
 def test_a_view_that_is_stale_lost_or_hidden_is_said_beside_the_phase(sight: Sight | None, said: str) -> None:

@@ -311,7 +311,9 @@ class ConsoleCore:
         if client.shows_replay:
             raise ValueError("a recording is shown in this browser: close it to command the cell")
         if not client.is_operator:
-            raise ValueError("an observer may watch and press STOP; the console's token makes an operator")
+            raise ValueError(
+                "an observer may only watch and press STOP; open the page with the console's token to do more"
+            )
         if isinstance(command, Record):
             to_recorder = self.desk.handle(command, now_s)
             begins = f"{client.name} records {to_recorder.file}"

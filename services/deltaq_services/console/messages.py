@@ -16,7 +16,7 @@ from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 SignalState = Annotated[str, Field(min_length=1, max_length=64)]
 
 _PHASES = {
-    Phase.OFFLINE: "offline: its controller or the gate is not heard",
+    Phase.OFFLINE: "offline: nothing comes from its controller or from the gate",
     Phase.READY: "ready",
     Phase.ENGAGED: "engaged",
     Phase.BRAKING: "braking: no increment was admitted for this cycle",
@@ -25,19 +25,19 @@ _PHASES = {
 _SIGHTS = {
     Sight.STALE: "its view of the leader is stale (view_stale)",
     Sight.LOST: "its view of the leader is lost (view_lost)",
-    Sight.HIDDEN: "a body hides what its camera looks at (view_hidden)",
+    Sight.HIDDEN: "a body hides its camera's target (view_hidden)",
     Sight.FRESH: "its camera sees its target",
 }
 _REMEDIES = {
     ReasonCode.OPERATOR_STOP: "Reset it when the cell is clear.",
     ReasonCode.CONTROLLER_LOST: "Reset it, then drive on.",
-    ReasonCode.HLI_LOST: "Make sure that the HLI runs, then reset it.",
-    ReasonCode.GATE_LOST: "Make sure that the gate runs, then reset it.",
+    ReasonCode.HLI_LOST: "Start the HLI if it does not run, then reset the robot.",
+    ReasonCode.GATE_LOST: "Start the gate if it does not run, then reset the robot.",
     ReasonCode.KRC_LOST: "Start the robot program on the KRC again, then reset it.",
     ReasonCode.TRACKING_ERROR: "Find what obstructs the robot, then reset it.",
     ReasonCode.REPLY_REFUSED: "Keep the Robot Server's log, then reset it.",
     ReasonCode.CYCLE_MISMATCH: "Let the KRC's program start RSI with the cell's cycle, or correct cycle_s.",
-    ReasonCode.CRASH_BRAKE_LOST: "Another such process is started: reset the robot, and keep the Robot Server's log.",
+    ReasonCode.CRASH_BRAKE_LOST: "It is started anew by itself. Reset the robot, and keep the Robot Server's log.",
     ReasonCode.RSI_MODE: "Change the KRC's program to begin RSI with RSI_ON(#ABSOLUTE), then reset it.",
     ReasonCode.DRIVE_LAG: "Set gate.servo_lag_s as the Robot Server's detail says, then start the cell again.",
 }
@@ -211,10 +211,10 @@ class ConsoleEvent(Message):
 def phase_words(state: RobotState | None, is_stale: bool) -> tuple[str, str]:
     """What the state of a robot means, and what to do about it; empty if nothing is to be done."""
     if state is None:
-        return "not heard yet", "Check that its Robot Server and the HLI run: deltaq status."
+        return "no state has come yet", "Check that its Robot Server and the HLI run: deltaq status."
     if is_stale:
         return (
-            "no state comes: what is shown is old",
+            "no state comes: the picture is old",
             "Check that its Robot Server and the HLI run: deltaq status.",
         )
     text = _PHASES[state.phase]

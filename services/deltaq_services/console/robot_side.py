@@ -113,7 +113,9 @@ class RobotSide:
 
     def _led_hand(self, jog: Jog) -> str:
         if any(jog.wish):
-            raise ValueError("wish: the master leads, and a wish beside it moves too; leave one of them out")
+            raise ValueError(
+                "wish: the master leads the hand, so there is no wish beside it; leave one of them out"
+            )
         if self.report is None or not self.report.master:
             raise ValueError(f"led: no master was chosen for {self.name}; it may be {self._may_lead}")
         return self._free_hand(jog.hand or ALL_HANDS)
@@ -129,7 +131,7 @@ class RobotSide:
         known = self._hand(hand)
         if known and self.report is not None and self.report.grip == "object":
             raise ValueError(
-                f"hand: {hand} would move alone, and the hands hold an object: move it, or choose grip free first"
+                f"hand: {hand} cannot move alone, since the hands hold an object: move that, or choose grip free first"
             )
         return known
 
@@ -203,7 +205,7 @@ class RobotSide:
         """Why a wish to move would come to nothing now; empty if it would not."""
         state = self.feed.state
         if state is None or self.feed.is_stale(now_s):
-            return f"no state of {self.name} comes: what is shown is old"
+            return f"no state of {self.name} comes: the picture is old"
         if state.phase in (Phase.OFFLINE, Phase.HELD):
             text, remedy = phase_words(state, is_stale=False)
             return f"{self.name} is {text}. {remedy}".rstrip()

@@ -184,7 +184,7 @@ class StatusBoard:
     def __init__(
         self, robots: Mapping[str, RobotSide], desk: RecordingDesk, log: EventLog, cell: str
     ) -> None:
-        self.hli, self.text = False, "the HLI is not heard yet"
+        self.hli, self.text = False, "the HLI has not answered yet"
         self._remedy = (
             f"No robot can be driven, and control is lost. Start it: deltaq up --cell {cell} --only hli"
         )

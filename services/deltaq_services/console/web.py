@@ -198,10 +198,10 @@ class _Served:
         """Why a request gets no recording: those have the audit log's entries too, and are for operators."""
         # a browser says whose page asks; a program that is no browser does not
         if request.headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none"):
-            return _told(403, "recordings are for this console's own page")
+            return _told(403, "only this console's own page gets recordings")
         kind, _, token = request.headers.get("authorization", "").partition(" ")
         if self._enter(request, token if kind.lower() == "bearer" else "") is not Entrance.OPERATOR:
-            return _told(403, "recordings are for operators: the console's token makes one")
+            return _told(403, "only operators get recordings: show the console's token")
         return None
 
     async def live(self, websocket: WebSocket) -> None:

@@ -83,10 +83,10 @@ export function advisorCards({ live, driven, wish, ways, picture, thumbnails, vi
   }
 
   function card(way) {
-    const go = el("button", { class: "primary hold-to-go", disabled: !way.points.length }, way.points.length ? "Hold to go" : "No way there");
+    const go = el("button", { class: "primary hold-to-go", disabled: !way.points.length }, way.points.length ? "Hold to go" : "No path there");
     const source = `option ${way.rank}`;
     holds(go, () => wish.hold(source, { option: way.rank }), () => wish.release(source));
-    const driven_ = el("progress", { max: 1, value: 0, "aria-label": `Way to option ${way.rank}` });
+    const driven_ = el("progress", { max: 1, value: 0, "aria-label": `Path to option ${way.rank}` });
     const costs = Object.entries(way.costs);
     const first = [...new Set([...(live.robot(driven.name)?.search?.trade_off ?? []), ...FIRST])];
     const rest = costs.filter(([name]) => !first.includes(name));
@@ -141,7 +141,7 @@ export function advisorCards({ live, driven, wish, ways, picture, thumbnails, vi
       const isOn = search?.way === rank;
       if (!wish.isActive) delete go.dataset.held;
       go.disabled = !!cannot || !has || isNew || (isOn && search.arrived);
-      say(go, !has ? "No way there" : isOn && search.arrived ? "The robot is here" : isOn && search.driven > 0 ? "Hold to continue" : "Hold to go");
+      say(go, !has ? "No path there" : isOn && search.arrived ? "The robot is here" : isOn && search.driven > 0 ? "Hold to continue" : "Hold to go");
       progress.style.visibility = isOn ? "" : "hidden";
       progress.value = isOn ? (search.arrived ? 1 : search.driven) : 0;
     }

@@ -11,7 +11,7 @@ import { MODES, modesOf } from "./modes.js";
 import { posePanel } from "./pose_panel.js";
 
 const TAKE_OVER_MS = 1000;
-const [LATE_MS, TOLD_MS] = [5000, 4000];
+const [LATE_MS, STARTS_MS, TOLD_MS] = [5000, 60000, 4000]; // before a robot is taken its driver may have to start
 const TITLES = {
   take: "Take control", take_over: "Take over", release: "Release", grant: "Hand over", refuse: "Keep it",
   lease: "Ask for it", reset: "Reset", mode: "Mode", output: "Output", view_distance: "View distance", look_at: "Looks at", choose_master: "Master", advise: "Options",
@@ -157,6 +157,7 @@ export function drivingPanel(context) {
   /** Send a command; what became of it is always told. */
   async function ask(type, fields) {
     const what = TITLES[fields?.action] ?? TITLES[type];
+    const isTaken = ["take", "take_over"].includes(fields?.action);
     const tell = (outcome, words) => {
       clearTimeout(late);
       answer.dataset.outcome = outcome;
@@ -166,8 +167,8 @@ export function drivingPanel(context) {
     const id = (ask.count = (ask.count ?? 0) + 1);
     const heard = ({ outcome, text }) => {
       if (id !== ask.count) return; // another was asked since
-      tell(outcome, ANSWERS[outcome](text.replace(/^[a-z_]+: /, "").replace(/\.$/, "")));
-      if (outcome === "asked") late = setTimeout(() => tell("lost", ANSWERS.lost("no answer yet")), LATE_MS);
+      tell(outcome, isTaken && outcome === "asked" ? "asked, the robot's driver gets ready" : ANSWERS[outcome](text.replace(/^[a-z_]+: /, "").replace(/\.$/, "")));
+      if (outcome === "asked") late = setTimeout(() => tell("lost", ANSWERS.lost("no answer yet")), isTaken ? STARTS_MS : LATE_MS);
       if (outcome === "done") late = setTimeout(() => say(answer, ""), TOLD_MS);
     };
     const ack = await live.send(type, { robot: driven.name, ...fields }, heard);
@@ -246,7 +247,7 @@ export function drivingPanel(context) {
     reset.hidden = robot.phase !== "held";
     resetAll.hidden = reset.hidden || held().length < 2;
     reset.disabled = resetAll.disabled = !!locked;
-    const elsewhere = outside ? " It is not a browser at this console. Wait until it releases the robot, or take the robot over, which brings it to rest." : "";
+    const elsewhere = outside ? " It is not a browser at this console. Wait until it releases the robot, or take the robot over: it comes to rest first." : "";
     const whose = mine ? "You have control." : holder ? `${holder} has control.${elsewhere}` : "Nobody has control.";
     const me = live.hello?.client;
     say(lease, wantedBy && !mine ? `${whose} ${wantedBy === me ? "You have asked for it." : `${wantedBy} asks for it.`}` : text ? `${whose} ${text}` : whose);

@@ -24,9 +24,9 @@ export function keepsGrip(mode, grip) {
 
 /** How hands hold, in words. */
 export function gripWords(grip, off, choice) {
-  if (grip !== OBJECT) return choice === ALL ? "Both get the same command, each about its own point." : "";
-  if (!off) return "The object is taken as soon as the hands are at rest.";
-  return `Object held. The hands are off their grasp by ${(1000 * off.distance_m).toFixed(1)} mm, ${degrees(off.angle_rad).toFixed(2)}°.`;
+  if (grip !== OBJECT) return choice === ALL ? "Both get the same command; each turns about its own point." : "";
+  if (!off) return "The hands take the object once they are at rest.";
+  return `Object held. The hands have slipped by ${(1000 * off.distance_m).toFixed(1)} mm, ${degrees(off.angle_rad).toFixed(2)}°.`;
 }
 
 /** @param ask(type, fields) sends a command. */
@@ -49,7 +49,7 @@ export function handsPanel({ live, driven, wish }, ask) {
     if (shown === driven.name) return;
     shown = driven.name;
     const titles = { [ALL]: "both", [OBJECT]: "object" };
-    const told = { [ALL]: "each hand about its own point, with the same command", [OBJECT]: "both hands hold one object and move together" };
+    const told = { [ALL]: "the same command for each hand, which turns about its own point", [OBJECT]: "both hands hold one object and move together" };
     choices.replaceChildren(...handChoices(driven.hands).map((choice) =>
       el("button", { role: "radio", "data-hand": choice, title: told[choice] ?? `the ${choice} hand alone`, onclick: () => choose(choice) }, titles[choice] ?? choice)));
   }

@@ -79,7 +79,7 @@ export function jogPad(live, driven, wish) {
       button.ariaLabel = `${button.dataset.what}, ${driven.bySteps ? "press to step" : "hold to move"}`;
     }
     for (const button of how.children) button.setAttribute("aria-checked", String(button.dataset.steps === String(driven.bySteps)));
-    say(why, cannot ? `Locked: ${cannot}.` : wish.refused ? wish.refused : driven.bySteps ? "Each press moves once." : driven.isByJoints ? "Hold to move. 1 to 9 choose the joint of the keys ↑ ↓." : "Hold to move.");
+    say(why, cannot ? `Locked: ${cannot}.` : wish.refused ? wish.refused : driven.bySteps ? "Each press moves once." : driven.isByJoints ? "Hold to move. Keys 1 to 9 choose a joint, ↑ ↓ move it." : "Hold to move.");
     const q = live.frame?.robots[live.indexOf(driven.name)]?.q;
     if (q) values.forEach((value, index) => say(value, jointText(q[index], driven.scenery.joints[index].unit)));
   }

@@ -1,12 +1,12 @@
 // Modes that a robot is driven in, and which of them it has the joints for.
 
 export const MODES = [
-  ["joint", "Joint", "move each joint by itself; leads out of any limit"],
+  ["joint", "Joint", "move one joint at a time, also back from beyond a limit"],
   ["decoupled", "Decoupled", "move the hand with the arm alone; the base stands still"],
   ["coupled", "Coupled", "move the hand with all joints"],
   ["self-motion", "Self-motion", "move any joint; the hand keeps its pose"],
-  ["advisor", "Advisor", "drive to an option of the advisor; the hand keeps its pose, or returns to it"],
-  ["pose", "Pose", "drag the hand to a pose in the picture; the way is shown first"],
+  ["advisor", "Advisor", "drive to one of the advisor's options; the hand keeps its pose, or returns to it"],
+  ["pose", "Pose", "drag the hand to a pose in the picture; the path is shown first"],
   ["follow", "Follow", "hold to begin: the camera keeps the leader's hand in view"],
 ];
 

@@ -50,7 +50,7 @@ export function padDrawing(layout, driven) {
   function show(pad, standard, gamepad) {
     box.dataset.plugged = String(!!standard);
     if (!standard) {
-      say(doing, pad ? `${pad.id}: not used, its layout is not known. It has no STOP: press Esc, or STOP on the page. Another browser may know it.` : "No gamepad. Connect one and press one of its buttons.");
+      say(doing, pad ? `${pad.id}: not used, because its layout is unknown. Its buttons do nothing, STOP included: press Esc, or STOP on the page. Another browser may know it.` : "No gamepad. Connect one and press one of its buttons.");
       return;
     }
     for (const { name, standard: place } of layout.controls) shapes[name].toggleAttribute("data-lit", !!standard.buttons[place]?.pressed);
@@ -60,7 +60,7 @@ export function padDrawing(layout, driven) {
     });
     const waits = gamepad.waitsFor(pad);
     if (waits) {
-      say(doing, `Let go of sticks and triggers: nothing moves until each was at rest (${waits}). STOP is ${STOP_PLACE}.`);
+      say(doing, `Let go of sticks and triggers. Nothing moves until each has been at rest (${waits}). STOP is ${STOP_PLACE}.`);
       return;
     }
     const output = driven.scenery.outputs[gamepad.output % driven.scenery.outputs.length];

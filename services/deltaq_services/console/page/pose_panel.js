@@ -16,7 +16,7 @@ export function posePanel(context, ask) {
   const gizmo = new Gizmo(stage);
   const words = el("p", { class: "forecast", role: "status" });
   const gate = el("p", { class: "doing" });
-  const share = el("progress", { max: 1, value: 0, "aria-label": "Clear part of the way" });
+  const share = el("progress", { max: 1, value: 0, "aria-label": "Clear part of the path" });
   const go = el("button", { class: "primary hold-to-go" }, "Hold to go");
   const back = el("button", {}, "Back");
   const tools = el("select", { "aria-label": "Hand" });
@@ -36,7 +36,7 @@ export function posePanel(context, ask) {
   const targets = jointTargets(context, want);
   const box = el("section", { class: "pose" },
     el("h2", {}, "Pose"),
-    el("p", { class: "doing" }, "Drag the arrows and rings at the hand, or enter its pose [mm, °]. Nothing moves yet."),
+    el("p", { class: "doing" }, "Drag the arrows and rings at the hand, or enter a pose [mm, °]. The robot does not move yet."),
     tools,
     el("div", { class: "coordinates" }, ...AXES.flatMap((axis, k) => [el("label", {}, axis), fields[k]])),
     el("div", { class: "row" }, go, back), words, share, gate, targets.box,
@@ -132,7 +132,7 @@ export function posePanel(context, ask) {
     const isThere = !!search?.arrived;
     if (isThere && !refusal && !wish.isActive && asked.isDragged && !asked.isBusy && !gizmo.isHeld) reset();
     picture.show(driven.name, refusal || !asked.isDragged ? null : (way ?? null), false);
-    say(words, refusal || (way ? `Forecast: ${way.text}.` : asked.isDragged ? "Planning a way …" : ""));
+    say(words, refusal || (way ? `Forecast: ${way.text}.` : asked.isDragged ? "Planning a path …" : ""));
     words.dataset.clear = String(!refusal && (way?.clear ?? 1) === 1);
     share.hidden = !way || !!refusal;
     share.value = way?.clear ?? 0;

@@ -95,8 +95,8 @@ export function coverStale(live) {
     const isStale = live.isStale();
     document.documentElement.dataset.stale = String(isStale);
     if (!isStale) return;
-    if (!live.connection.isUp) say(words, "No connection to the console. What you see is old; nothing can be driven from here.");
+    if (!live.connection.isUp) say(words, "No connection to the console. The picture is old; nothing can be driven from here.");
     else if (!live.frame) say(words, "Waiting for the cell …");
-    else say(words, `No state of a robot has come for ${live.age_s().toFixed(1)} s. What you see is old; nothing can be driven from here.`);
+    else say(words, `The newest state of a robot is ${live.age_s().toFixed(1)} s old. The picture is old; nothing can be driven from here.`);
   }, 150);
 }

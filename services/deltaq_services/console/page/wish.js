@@ -42,7 +42,7 @@ export class Wish {
   step(index, size) {
     const name = this.target.robot();
     this._refuse(this.live.cannotDrive(name) || (this.target.jogs?.() === false ? "choose another mode to move it by hand" : ""));
-    if (!this.refused && performance.now() < (this._stepsUntil ?? 0)) this._refuse("the step before goes on: one at a time");
+    if (!this.refused && performance.now() < (this._stepsUntil ?? 0)) this._refuse("the last step is not finished: one at a time");
     if (this.refused || this.isActive) return;
     this._stepsUntil = performance.now() + 1000 * STEP_S;
     const cycle_s = this.live.scene.cycle_s;
