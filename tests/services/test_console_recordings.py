@@ -65,7 +65,7 @@ def test_a_folder_that_is_not_there_is_told_at_the_start(tmp_path):
 async def served(tmp_path, folder, token=""):
     cell = CellModel.load(write_private_cell(tmp_path))
     settings = Settings("lab", True, "127.0.0.1", cell.description.console_port, token, recordings=folder)
-    console = Console(cell, True, bool(token), None, "lab", folder)
+    console = Console(cell, settings)
     server = server_of(application(console, settings))
     with listening_socket(settings) as listening:
         serving = asyncio.ensure_future(server.serve(sockets=[listening]))

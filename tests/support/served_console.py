@@ -27,7 +27,7 @@ async def served(
     """A console and where it is reached; without a cell, one whose HLI is not there."""
     cell = cell or CellModel.load(write_private_cell(folder))
     settings = Settings("lab", True, "127.0.0.1", cell.description.console_port, token, operator_token)
-    console = Console(cell, True, settings.token_needed, operator_token)
+    console = Console(cell, settings)
     server = server_of(application(console, settings))
     with listening_socket(settings) as listening:
         running = asyncio.ensure_future(console.run())

@@ -22,12 +22,13 @@ _PHASES = {
     Phase.BRAKING: "braking: no increment was admitted for this cycle",
     Phase.HELD: "held",
 }
-_SIGHTS = {
+SIGHTS = {
     Sight.STALE: "its view of the leader is stale (view_stale)",
     Sight.LOST: "its view of the leader is lost (view_lost)",
     Sight.HIDDEN: "a body hides its camera's target (view_hidden)",
     Sight.FRESH: "its camera sees its target",
 }
+"""How well a camera sees its target, in words."""
 _REMEDIES = {
     ReasonCode.OPERATOR_STOP: "Reset it when the cell is clear.",
     ReasonCode.CONTROLLER_LOST: "Reset it, then drive on.",
@@ -219,7 +220,7 @@ def phase_words(state: RobotState | None, is_stale: bool) -> tuple[str, str]:
         )
     text = _PHASES[state.phase]
     if state.sight is not None and state.sight is not Sight.FRESH:
-        text += f", and {sight_words(state.sight)}"
+        text += f", and {SIGHTS[state.sight]}"
     if state.reason is None:
         return text, ""
     if state.phase is Phase.HELD:
@@ -227,11 +228,6 @@ def phase_words(state: RobotState | None, is_stale: bool) -> tuple[str, str]:
             state.reason, "Remove the cause, then reset it."
         )
     return f"{text.partition(':')[0]}: {EXPLANATIONS[state.reason]}", _REMEDIES.get(state.reason, "")
-
-
-def sight_words(sight: Sight) -> str:
-    """How well a camera sees what it looks at."""
-    return _SIGHTS[sight]
 
 
 def bound_of(verdict: Verdict, units: Mapping[str, str]) -> Bound | None:

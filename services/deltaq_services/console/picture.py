@@ -17,7 +17,7 @@ from deltaq_protocol.messages import (
     ViewTarget,
 )
 from deltaq_services.console.feed import pack_frame
-from deltaq_services.console.messages import bound_of, phase_words, sight_words
+from deltaq_services.console.messages import SIGHTS, bound_of, phase_words
 from deltaq_services.console.robot_side import RobotSide
 from deltaq_services.console.status_board import EventLog
 from deltaq_services.focus import focus_of
@@ -92,7 +92,7 @@ class Picture:
         if state.target != target:
             self._log.add(arrived_s, "view", f"its camera looks at {state.target.words()}", state.robot)
         if state.sight is not None and state.sight is not sight:
-            self._log.add(arrived_s, "view", sight_words(state.sight), state.robot)
+            self._log.add(arrived_s, "view", SIGHTS[state.sight], state.robot)
 
     def _focus(self, name: str) -> Vector3 | None:
         """What a robot's camera looks at, or would look at if nobody says: the tool that it is there to watch."""

@@ -11,7 +11,6 @@ import time
 from collections import deque
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import TypeVar
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -52,6 +51,7 @@ from deltaq_services.console.messages import Ack, AckOutcome, StopPhase
 from deltaq_services.console.outputs import AskHli, ConsoleOutput, ToClient, ToDriver, ToRecorder
 from deltaq_services.console.recordings import RecorderProcess, RecordingFolder, ReplayReader
 from deltaq_services.console.scene import BrowserScene, scene_of
+from deltaq_services.console.settings import Settings
 from deltaq_services.containment import Containment
 
 M = TypeVar("M", bound=Message)
@@ -140,11 +140,7 @@ class Console:
 
     Args:
         cell: the cell's model.
-        emulated: no robot of it is real.
-        token_needed: whether a client without the token is an observer.
-        operator_token: the HLI's, which resets and drivers need if the HLI was given one.
-        cell_name: name or file of the cell, for the recorder.
-        recordings: folder of recordings; None for none.
+        settings: with which it was started.
 
     Attributes:
         scene: what browsers draw.
@@ -153,31 +149,26 @@ class Console:
         reader: reads them for browsers.
     """
 
-    def __init__(
-        self,
-        cell: CellModel,
-        emulated: bool,
-        token_needed: bool,
-        operator_token: str | None,
-        cell_name: str = "",
-        recordings: Path | None = None,
-    ) -> None:
-        description = cell.description
-        self.folder = None if recordings is None else RecordingFolder(recordings)
+    def __init__(self, cell: CellModel, settings: Settings) -> None:
+        description, folder = cell.description, settings.recordings
+        self.folder = None if folder is None else RecordingFolder(folder)
         self.reader = ReplayReader(str(cell.identity))
-        self._recorder = RecorderProcess(cell_name, self._recorder_began, self._recorder_ended)
-        self.scene: BrowserScene = scene_of(cell, emulated)
+        self._recorder = RecorderProcess(settings.cell, self._recorder_began, self._recorder_ended)
+        self.scene: BrowserScene = scene_of(cell, settings.emulated)
         self.core = ConsoleCore(
             description,
             self.scene.bodies,
-            token_needed,
-            has_recordings=recordings is not None,
+            settings.token_needed,
+            has_recordings=folder is not None,
             process=secrets.token_hex(8),
-            name=cell_name,
+            name=settings.cell,
         )
         self._identity = content_identity(description)
         self._link = HliLink(
-            description.hli, description.cell, tuple(description.robots), role_prover(operator_token, None)
+            description.hli,
+            description.cell,
+            tuple(description.robots),
+            role_prover(settings.operator_token, None),
         )
         self._signalling = [
             name for name, robot in description.robots.items() if robot.outputs or robot.inputs
@@ -189,7 +180,7 @@ class Console:
                 robot,
                 partial(self._driver_said, robot),
                 partial(self._driver_ended, robot),
-                operator_token,
+                settings.operator_token,
             )
             for robot in description.robots
         }

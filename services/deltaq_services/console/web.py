@@ -58,14 +58,7 @@ def serve(settings: Settings) -> None:
         ServiceUnreachableError: the port is taken.
     """
     with listening_socket(settings) as listening:
-        console = Console(
-            CellModel.load(settings.cell),
-            settings.emulated,
-            settings.token_needed,
-            settings.operator_token,
-            settings.cell,
-            settings.recordings,
-        )
+        console = Console(CellModel.load(settings.cell), settings)
         asyncio.run(_serve(console, settings, listening))
 
 
