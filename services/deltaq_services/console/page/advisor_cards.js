@@ -25,7 +25,7 @@ function bar(name, cost) {
 }
 
 /** Choosing two criteria that are weighed against one another; none: options are the least of their weighted sum. */
-export function tradeOffChoice() {
+function tradeOffChoice() {
   const choice = (label) => el("select", { "aria-label": label });
   const [first, second] = [choice("Trade off"), choice("against")];
   const box = el("div", { class: "trade-off", hidden: true }, el("label", {}, "Trade off", first), el("label", {}, "against", second));
@@ -46,7 +46,7 @@ export function tradeOffChoice() {
 }
 
 /** What options are, where two criteria are weighed against one another. */
-export const frontOf = ([first, second]) => `Pareto front of “${TITLES[first] ?? first}” and “${TITLES[second] ?? second}”`;
+const frontOf = ([first, second]) => `Pareto front of “${TITLES[first] ?? first}” and “${TITLES[second] ?? second}”`;
 
 function near(name, { distance_m, pair }) {
   return el("p", { class: "doing" }, `${(100 * distance_m).toFixed(1)} cm to ${name}: ${pair.join(" and ")}`);

@@ -1,7 +1,7 @@
 // Brings the cell to life on the page: its description is fetched, drawn, and the panels put around it.
 
 import { jogAxes } from "./axes.js";
-import { fetched, part, remembered } from "./dom.js";
+import { fetched, part } from "./dom.js";
 import { Driven, drivingPanel } from "./driving.js";
 import { FollowerPicture } from "./follower.js";
 import { Gamepad } from "./gamepad.js";
@@ -40,7 +40,7 @@ export async function showCell(holder, live, stop, look) {
   const scene = await (await fetched("/scene.json")).json();
   live.scene = scene;
   nameCell(scene);
-  const quality = new URLSearchParams(location.search).get("quality") ?? remembered("quality", "auto");
+  const quality = new URLSearchParams(location.search).get("quality") ?? "auto";
   const stage = new Stage(holder, { floorHeight: floorHeight(scene.structure), quality });
   const store = new MeshStore(async (url) => (await fetched(url)).text(), stage.full);
   const paint = stage.shading.material();

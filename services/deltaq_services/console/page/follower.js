@@ -10,7 +10,7 @@ const AUTOMATIC = "auto";
 const FAR_M = 40;
 
 /** Angle between view axis and focus [rad], and distance [m], of the camera pose T (16 numbers). */
-export function viewError(T, focus) {
+function viewError(T, focus) {
   const line = [0, 1, 2].map((k) => focus[k] - T[12 + k]);
   const distance = Math.hypot(...line);
   const along = (line[0] * T[8] + line[1] * T[9] + line[2] * T[10]) / distance;

@@ -2,7 +2,7 @@
 
 import { HAND_M_S, HAND_RAD_S, speedOf } from "./jog.js";
 
-export const DEAD = 0.12; // of a stick's way, in which it is at rest
+const DEAD = 0.12; // of a stick's way, in which it is at rest
 const EXPO = 0.6; // share of the cube: fine near the middle, fast at the end
 const PUSHED = 0.5; // of a stick's way, from which on it goes along a way
 const PULLED = 0.5; // of a trigger's way
@@ -35,7 +35,7 @@ function productOf(id = "") {
 }
 
 /** A pad's axes and buttons in the standard order, and where each axis rests; null if its layout is not known. */
-export function standardOf(pad) {
+function standardOf(pad) {
   const { axes, buttons } = pad;
   if (pad.mapping === "standard" && axes.length >= STANDARD.axes && buttons.length >= STANDARD.buttons) return { axes, buttons, rests: axes.map(() => 0) };
   const known = KNOWN.find((one) => one.ids.includes(productOf(pad.id)) && one.axes === axes.length);

@@ -5,7 +5,7 @@ import { holds } from "./hold.js";
 
 export const HAND_M_S = 0.25; // of the hand at full speed
 export const HAND_RAD_S = 0.6;
-export const JOINT_SHARE = 0.25; // of a joint's greatest speed
+const JOINT_SHARE = 0.25; // of a joint's greatest speed
 
 const AXES = [
   ["X", "x"], ["Y", "y"], ["Z", "z"], ["turn X", "x"], ["turn Y", "y"], ["turn Z", "z"], // three beside three
@@ -18,7 +18,7 @@ export function speedOf(driven, index) {
 }
 
 /** By how much one press moves in steps: 1° or 5 mm, as [rad or m]. */
-export function stepOf(driven, index) {
+function stepOf(driven, index) {
   const turns = driven.isByJoints ? driven.scenery.joints[index].unit === "rad" : index >= 3;
   return turns ? Math.PI / 180 : 0.005;
 }

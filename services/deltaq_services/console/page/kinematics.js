@@ -11,14 +11,14 @@ export function multiply(a, b, out) {
   return out;
 }
 
-export function identity() {
+function identity() {
   const out = new Float64Array(16);
   out[0] = out[5] = out[10] = out[15] = 1;
   return out;
 }
 
 /** Motion of a joint by q [rad or m] along or about its unit axis. */
-export function jointMotion(kind, axis, q, out = identity()) {
+function jointMotion(kind, axis, q, out = identity()) {
   const [x, y, z] = axis;
   if (kind === "prismatic") {
     out.fill(0);

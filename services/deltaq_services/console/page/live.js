@@ -2,7 +2,7 @@
 
 import { readFrame } from "./frame.js";
 
-export const STALE_S = 0.4; // a picture older than this is frozen, and nothing is driven by it
+const STALE_S = 0.4; // a picture older than this is frozen, and nothing is driven by it
 const OFFSET_WINDOW_S = 10;
 
 export class Live extends EventTarget {

@@ -5,7 +5,7 @@ import { THREE } from "./vendor/three.js";
 const SHARP_RAD = 0.61; // edges sharper than 35 degrees stay edges
 
 /** Positions of the triangles of an OBJ text: 9 numbers a triangle. */
-export function readObj(text) {
+function readObj(text) {
   const points = [];
   const positions = [];
   for (const line of text.split("\n")) {
@@ -22,7 +22,7 @@ export function readObj(text) {
 }
 
 /** Normals of a triangle soup: smooth over flat joints, sharp over creases, weighted by the corners' angles. */
-export function creasedNormals(positions) {
+function creasedNormals(positions) {
   const triangles = positions.length / 9;
   const faces = new Float32Array(triangles * 3);
   const [a, b, c] = [new THREE.Vector3(), new THREE.Vector3(), new THREE.Vector3()];

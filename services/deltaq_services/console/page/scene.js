@@ -11,7 +11,7 @@ const LOOK_MS = 4; // after which it is looked whether a picture is finished, wh
 const STILL_FINENESS = 2; // drawn twice as fine as the page, and so without jagged edges
 
 /** Whether WebGL is computed by the processor; throws where the browser has none. */
-export function softwareRendered() {
+function softwareRendered() {
   const gl = document.createElement("canvas").getContext("webgl2");
   if (!gl) throw new Error("This browser has no WebGL 2, which draws the cell. Switch on its graphics acceleration, or use another browser.");
   const told = gl.getExtension("WEBGL_debug_renderer_info");
@@ -24,7 +24,7 @@ export class Stage {
    * @param floorHeight of the floor [m].
    * @param quality "full", "lean" or "auto".
    */
-  constructor(holder, { floorHeight = 0, dark = true, quality = "auto" } = {}) {
+  constructor(holder, { floorHeight, quality }) {
     this.holder = holder;
     const byProcessor = softwareRendered();
     this.full = quality === "full" || (quality === "auto" && !byProcessor);
@@ -53,7 +53,7 @@ export class Stage {
     this.orbit = new OrbitControls(this.camera, this.canvas);
     Object.assign(this.orbit, { enableDamping: true, dampingFactor: 0.18, maxPolarAngle: Math.PI * 0.51, maxDistance: 22 });
     this.orbit.addEventListener("change", () => this.ask());
-    this.enter(dark);
+    this.enter(true);
 
     this._before = [];
     this._after = [];

@@ -27,8 +27,7 @@ export class Wish {
   /** `source` wants to move so; parts are {index: speed [rad/s or m/s]}, {option: rank} to go along that way, or {led: true}. */
   hold(source, parts) {
     const name = this.target.robot();
-    const isJog = parts.option === undefined;
-    this._refuse(this.live.cannotDrive(name) || (isJog && this.target.jogs?.() === false ? "choose another mode to move it by hand" : ""));
+    this._refuse(this._cannot(name, parts.option === undefined));
     if (this.refused) return false;
     if (this._robot && this._robot !== name) this.releaseAll();
     const begins = !this._held.size;
@@ -41,7 +40,7 @@ export class Wish {
   /** Move once by so much [rad or m] along one element, slowly: the robot ends it by itself. */
   step(index, size) {
     const name = this.target.robot();
-    this._refuse(this.live.cannotDrive(name) || (this.target.jogs?.() === false ? "choose another mode to move it by hand" : ""));
+    this._refuse(this._cannot(name, true));
     if (!this.refused && performance.now() < (this._stepsUntil ?? 0)) this._refuse("the last step is not finished: one at a time");
     if (this.refused || this.isActive) return;
     this._stepsUntil = performance.now() + 1000 * STEP_S;
@@ -65,6 +64,10 @@ export class Wish {
     if (!this._held.size) return;
     this._held.clear();
     this._rest();
+  }
+
+  _cannot(name, isJog) {
+    return this.live.cannotDrive(name) || (isJog && this.target.jogs?.() === false ? "choose another mode to move it by hand" : "");
   }
 
   /** Why the last wish came to nothing, in words, for a while. */
