@@ -6,7 +6,7 @@ import { mock, test } from "node:test";
 const folder = process.env.DELTAQ_BROWSER_MODULES;
 const load = (name) => import(`${folder}/${name}.js`);
 const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { Gamepad, shaped, wishOf }, { csvCell }, { Player, Replay }, drag, { score }, hands, { Pace }, { framed }, { boxesBeside, roomOf }, { axisOf, axisText }, { modesOf }, { Handover, UNSEEN_MS }, { targetsOf }, { anglesOf, dateText, poseText }] = await Promise.all(
-  ["connection", "live", "stop", "wish", "frame", "series", "gamepad", "event_log", "replay", "drag_math", "advisor_cards", "hands", "pace", "framing", "tags", "plots", "modes", "handover", "look_at", "dom"].map(load),
+  ["connection", "live", "stop", "wish", "frame", "plots", "gamepad", "event_log", "replay", "drag_math", "advisor_cards", "hands", "pace", "views", "overlays", "plots", "modes", "follower", "look_at", "dom"].map(load),
 );
 
 // what wish.js and stop.js hear from a page

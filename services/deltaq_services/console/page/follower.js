@@ -3,7 +3,6 @@
 
 import { THREE } from "./vendor/three.js";
 import { degrees, el, part, remember, remembered, say } from "./dom.js";
-import { Handover } from "./handover.js";
 
 const SHAPES = ["plain", "side by side", "red-cyan"];
 const AUTOMATIC = "auto";
@@ -15,6 +14,36 @@ function viewError(T, focus) {
   const distance = Math.hypot(...line);
   const along = (line[0] * T[8] + line[1] * T[9] + line[2] * T[10]) / distance;
   return { angle: Math.acos(Math.min(1, Math.max(-1, along))), distance };
+}
+
+// Which of several cameras is shown: the present one for as long as it sees its target, then the first that does.
+
+export const UNSEEN_MS = 1000; // a glance away does not hand over
+
+export class Handover {
+  constructor() {
+    Object.assign(this, { present: 0, _lost_ms: null });
+  }
+
+  /**
+   * The place of the camera to be shown.
+   * @param seen of each camera, whether it sees its target; now in ms.
+   */
+  choose(seen, now) {
+    if (seen[this.present]) {
+      this._lost_ms = null;
+      return this.present;
+    }
+    this._lost_ms ??= now;
+    const next = seen.indexOf(true);
+    if (next >= 0 && now - this._lost_ms >= UNSEEN_MS) this.take(next);
+    return this.present;
+  }
+
+  /** Another camera is shown from now on. */
+  take(place) {
+    Object.assign(this, { present: place, _lost_ms: null });
+  }
 }
 
 export class FollowerPicture {

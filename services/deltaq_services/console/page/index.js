@@ -2,12 +2,11 @@
 // and all that is drawn of it, is loaded after that; what goes wrong there is told in words.
 
 import { Connection } from "./connection.js";
-import { part, remember, remembered, say } from "./dom.js";
+import { el, part, remember, remembered, say } from "./dom.js";
 import { eventLog } from "./event_log.js";
 import { Live } from "./live.js";
 import { coverStale, lightOrDark, showBar } from "./status_bar.js";
 import { bindStop, Stop } from "./stop.js";
-import { tellUndrawn } from "./undrawn.js";
 
 const random = () => [...crypto.getRandomValues(new Uint32Array(4))].map((part) => part.toString(16)).join("-");
 const PAGE = random(); // this load of the page
@@ -24,6 +23,34 @@ function liveUrl() {
   const token = new URLSearchParams(location.search).get("token");
   const query = new URLSearchParams({ ...(token ? { token } : {}), name: remembered("operator", ""), session: session(), page: PAGE });
   return `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live?${query}`;
+}
+
+/** Say in place of the cell why it is not there; STOP and the bar go on. holder is the element of the 3D view. */
+function tellUndrawn(holder, live, error) {
+  console.error(error);
+  live.isUndrawn = true; // locks whatever was put up before it went wrong
+  const robots = el("dl");
+  const rows = new Map();
+  holder.replaceChildren(
+    el("section", { class: "undrawn", role: "alert" },
+      el("h2", {}, "The cell cannot be shown"),
+      el("p", {}, error.message),
+      el("p", {}, "STOP works. Nothing can be driven from this page until the cell is shown."),
+      robots,
+      el("button", { class: "primary", onclick: () => location.reload() }, "Load the page again")),
+  );
+
+  function show() {
+    for (const [name, robot] of Object.entries(live.status?.robots ?? {})) {
+      if (!rows.has(name)) {
+        rows.set(name, el("dd"));
+        robots.append(el("dt", {}, name), rows.get(name));
+      }
+      say(rows.get(name), live.connection.isUp ? `${robot.text}. ${robot.remedy}`.trim() : "no connection to the console");
+    }
+  }
+  for (const kind of ["status", "line"]) live.addEventListener(kind, show);
+  show();
 }
 
 async function start(holder) {

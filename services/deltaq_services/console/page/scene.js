@@ -2,8 +2,7 @@
 
 import { OrbitControls, THREE } from "./vendor/three.js";
 import { Floor } from "./floor.js";
-import { Pace } from "./pace.js";
-import { Screen } from "./screen.js";
+import { Pace, Screen } from "./pace.js";
 import { ROOMS, Shading } from "./shading.js";
 
 const SHADOW_EVERY_MS = { full: 0, lean: 500 };
