@@ -25,6 +25,8 @@ from deltaq_testing.faults.panel import PanelClient, recovery
 
 APPROACH, OF_FASTEST = 0.2, 0.2
 """Share of what is missing to home that is asked for in a cycle, and of the largest increment."""
+BLOCKED_CYCLES = 100
+"""A robot that stands for so long on its way home waits until the other one is there."""
 
 
 class SharedStack(Stack):
@@ -94,14 +96,26 @@ class SharedStack(Stack):
         return False
 
     def _bring_home(self) -> None:
-        for name, robot in self.model.robots.items():
-            fastest = OF_FASTEST * robot.max_velocity * self.cell.cycle_s
-            with connect(self.cell, "test") as running, running.lease(name) as held:
-                for state in held.states():
-                    missing = robot.home - np.array(state.q_cmd)
-                    if np.abs(missing).max() < 1e-5:
-                        break
-                    held.send(np.clip(APPROACH * missing, -fastest, fastest).tolist())
+        waiting = list(self.model.robots)
+        while waiting:
+            name = waiting.pop(0)
+            if not self._goes_home(name):
+                waiting.append(name)
+
+    def _goes_home(self, name: str) -> bool:
+        """Bring a robot home; returns whether it got there, or stands before another that is in its way."""
+        robot, stood, before = self.model.robots[name], 0, None
+        fastest = OF_FASTEST * robot.max_velocity * self.cell.cycle_s
+        with connect(self.cell, "test") as running, running.lease(name) as held:
+            for state in held.states():
+                missing = robot.home - np.array(state.q_cmd)
+                if np.abs(missing).max() < 1e-5:
+                    return True
+                stood, before = stood + 1 if state.q_cmd == before else 0, state.q_cmd
+                if stood == BLOCKED_CYCLES:
+                    return False
+                held.send(np.clip(APPROACH * missing, -fastest, fastest).tolist())
+        raise AssertionError(f"the states of {name} have ended")
 
 
 @contextmanager
