@@ -430,24 +430,6 @@ async def test_stop_reset_and_status_are_answered_from_the_running_cell(running:
     assert status.hli["stops"] == 1
 
 
-async def test_while_the_robot_is_held_move_says_stopped(running: Running) -> None:
-    running.peer.phases["fr"] = Phase.HELD
-    async for state in running.cell.states("fr"):
-        if state.phase is Phase.HELD:
-            break
-    async with running.cell.lease("fr") as robot:
-        assert (await robot.move(DQ)).reasons[0].code is ReasonCode.STOPPED
-
-
-async def test_outputs_are_set_by_the_holder_and_a_wrong_name_is_refused(running: Running) -> None:
-    await running.peer.turn("gr")
-    async with running.cell.lease("gr") as robot:
-        assert (await robot.io({"gripper": True})).outputs == {"gripper": True}
-        assert (await robot.io()).inputs == {"closed": True}
-        with pytest.raises(RefusedError, match="griper"):
-            await robot.io({"griper": True})
-
-
 async def test_the_description_brings_everything_needed_to_model_the_cell(running: Running) -> None:
     assert running.cell.description.urdf == {"fr": "<robot/>", "gr": "<robot/>"}
     assert running.cell.robots["gr"].units == ("m",) * 3 + ("rad",) * 6

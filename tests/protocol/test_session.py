@@ -75,16 +75,6 @@ def test_a_session_that_keeps_trying_opens_at_once_though_nobody_is_there_yet() 
     assert time.monotonic() - started < 0.4
 
 
-def test_an_endpoint_that_is_taken_cannot_be_listened_on() -> None:
-    here = endpoint()
-    first = open_session(listen=[here])
-    try:
-        with pytest.raises(ServiceUnreachableError, match=here):
-            open_session(listen=[here])
-    finally:
-        first.close()
-
-
 def test_sessions_that_do_not_name_one_another_never_meet() -> None:
     there = endpoint()
     one, other = open_session(listen=[endpoint()]), open_session(listen=[there])

@@ -12,8 +12,6 @@ import pytest
 import zenoh
 from lockstep_realm import LockstepRealm
 
-from deltaq_protocol import topics
-from deltaq_protocol.codec import pack
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.session import open_session
@@ -185,38 +183,6 @@ def test_a_recording_moves_nothing_through_a_gate_that_has_just_started(realm, i
     assert not [name for name in realm.sim.counters if name.startswith(("admitted", "scaled", "command_"))]
     for name, robot in realm.robots.items():
         assert (robot.q == q[name]).all()
-
-
-@pytest.mark.long
-def test_a_robot_server_that_was_frozen_is_not_heard_beside_its_successor(realm, insider):
-    """It wakes, and publishes the state that it had not published yet."""
-    old = realm.robots["fr"]
-    key = topics.SERVER_STATE.key("lab", robot="fr")
-    successor = realm.restart("fr")
-    realm.turn()
-    realm.settle_held()
-    stale = realm.sim.counters["stale_messages"]
-    state = old.state.model_copy(update={"cycle": old.state.cycle + 5})
-    insider.repeat([(key, old.link._envelopes.close(key, pack(state)))])
-    realm.pump_until(lambda: realm.sim.counters["stale_messages"] > stale)
-    assert realm.sim.robots["fr"].tracker.state.process == successor.core.process
-
-
-@pytest.mark.long
-def test_a_gate_that_was_frozen_is_not_heard_beside_its_successor(realm, insider):
-    """It wakes, and orders a reset."""
-    fr, frozen = realm.robots["fr"], realm.shell
-    realm.restart_gate()
-    realm.settle_held()
-    while not realm.has_mail(fr) or fr.state.phase is not Phase.HELD:
-        realm.turn()
-    order = fr.supervision.model_copy(update={"epoch": frozen.sim.epoch, "resets": 1000, "stop": None})
-    key = topics.SUPERVISION.key("lab", robot="fr")
-    counted = fr.core.counters["stale_supervision"]
-    insider.repeat([(key, frozen._envelopes.close(key, pack(order)))])
-    while fr.core.counters["stale_supervision"] == counted:
-        realm.turn()
-    assert fr.state.phase is Phase.HELD
 
 
 @pytest.mark.long

@@ -74,17 +74,6 @@ async def test_it_says_when_it_is_ready_serves_both_fronts_and_ends_cleanly(tmp_
             assert (started.returncode, out, err) == (0, b"", b"")
 
 
-async def test_the_operators_token_comes_from_the_environment(tmp_path: Path) -> None:
-    port = free_port()
-    file, _ = cell_file(tmp_path, port)
-    async with process("--cell", str(file), DELTAQ_OPERATOR_TOKEN="s3cret") as started:
-        assert started.stdout is not None
-        await asyncio.wait_for(started.stdout.readline(), 60)
-        async with json_client(port) as client, json_client(port, "operator", token="s3cret") as operator:
-            assert (await client.ask("done", type="reset", robot="fr"))["code"] == "not_permitted"
-            assert (await operator.ask("done", type="reset", robot="fr"))["code"] == "unreachable"
-
-
 async def test_its_log_is_one_object_a_line_and_no_token_is_in_it(tmp_path: Path) -> None:
     port, token, guess = free_port(), "the-operators-token", "a-guessed-token"
     file, hli = cell_file(tmp_path, port)

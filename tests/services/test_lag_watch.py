@@ -12,7 +12,7 @@ from deltaq_services.robot_server.lag_watch import LagWatch
 LAB, LAB_4MS = load_cell("lab"), load_cell("lab-4ms")
 QUICK = ServoLag(dead_time_s=0.012, natural_frequency_rad_s=167.0)
 SLOW = ServoLag(dead_time_s=0.058, natural_frequency_rad_s=40.0)
-MEANS_S, DAMPINGS = (0.026, 0.048, 0.072, 0.12, 0.156), (0.5, 0.6, 0.7, 1.0)
+MEANS_S, DAMPINGS = (0.12, 0.026, 0.048, 0.072, 0.156), (0.5, 0.6, 0.7, 1.0)
 
 
 def drives(mean_s, damping, cycle_s):
@@ -61,6 +61,7 @@ class Arm:
         self.longest_s = max([self.longest_s, *(lag_s for lag_s in self.watch.lag_s() if lag_s is not None)])
 
 
+@pytest.mark.by_day(24)
 @pytest.mark.parametrize("loss", ["", "telegram", "reply"])
 @pytest.mark.parametrize("cell", [LAB, LAB_4MS])
 @pytest.mark.parametrize("damping", DAMPINGS)
@@ -76,6 +77,7 @@ def test_no_lag_is_taken_to_be_longer_than_it_is_in_motion_and_stops_and_with_lo
     np.testing.assert_allclose(arm.watch.lag_s(), true_s, atol=0.006)
 
 
+@pytest.mark.by_day(8)
 @pytest.mark.parametrize("cell", [LAB, LAB_4MS])
 @pytest.mark.parametrize("damping", DAMPINGS)
 @pytest.mark.parametrize("mean_s", MEANS_S)

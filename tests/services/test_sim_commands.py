@@ -47,16 +47,6 @@ def test_the_cycle_of_a_dry_run_is_remembered_for_a_replay(rig):
     assert output.message.code is ReasonCode.SUPERSEDED
 
 
-def test_a_dry_run_that_cannot_be_judged_says_why(rig):
-    assert rig.command(kind="dry_run", robot="fr", dq=(0.0,) * 7).code is ReasonCode.BAD_SHAPE
-    assert rig.command(kind="dry_run", robot="fr").code is ReasonCode.BAD_SHAPE
-    rig.command(kind="stop")
-    assert rig.command(kind="dry_run", robot="fr", dq=SMALL).code is ReasonCode.STOPPED
-    unheard = Sim(CELL, epoch=1)
-    rig.sim = unheard
-    assert rig.command(kind="dry_run", robot="fr", dq=SMALL).code is ReasonCode.NOT_READY
-
-
 def told(sim, **fields):
     """The one reply to a command: whether it was taken, why not, and in words."""
     command = bound(sim, **fields)
@@ -69,6 +59,7 @@ def test_the_reply_to_a_dry_run_says_in_words_what_is_in_its_way(rig):
     fields = {"kind": "dry_run", "robot": "fr", "dq": SMALL}
     shape = (False, ReasonCode.BAD_SHAPE, "dq has 7 elements, not 6")
     assert told(rig.sim, **fields | {"dq": (0.0,) * 7}) == shape
+    assert told(rig.sim, **fields | {"dq": None})[1] is ReasonCode.BAD_SHAPE
     nobody = (False, ReasonCode.NOT_READY, "no state of that robot yet")
     assert told(Sim(CELL, epoch=5), **fields) == told(rig.sim, kind="dry_run", dq=SMALL) == nobody
     alone = Sim(CELL, epoch=5)
@@ -80,6 +71,10 @@ def test_the_reply_to_a_dry_run_says_in_words_what_is_in_its_way(rig):
     rig.cycle()
     rig.command(kind="stop")
     assert told(rig.sim, **fields) == (False, ReasonCode.STOPPED, "fr is ready")
+    rig.cycle()
+    rig.cycle()
+    assert rig.state.phase is Phase.HELD
+    assert told(rig.sim, **fields)[1] is ReasonCode.STOPPED
 
 
 def test_a_new_gate_decides_nothing_before_it_knows_every_setpoint_that_the_drives_may_be_at(rig):
@@ -90,14 +85,6 @@ def test_a_new_gate_decides_nothing_before_it_knows_every_setpoint_that_the_driv
             sim.on_state(server.state.model_copy(update={"cycle": cycle}))
         answer = told(sim, kind="dry_run", robot="fr", dq=SMALL)
         assert answer == ((False, ReasonCode.NOT_READY, "fr: fr") if cycle < cycles else (True, None, ""))
-
-
-def test_a_held_robot_is_told_so_in_a_dry_run(rig):
-    rig.command(kind="stop")
-    rig.cycle()
-    rig.cycle()
-    assert rig.state.phase is Phase.HELD
-    assert rig.command(kind="dry_run", robot="fr", dq=SMALL).code is ReasonCode.STOPPED
 
 
 T_HOME = CELL.robots["gr"].forward(CELL.robots["gr"].home)

@@ -74,13 +74,6 @@ class Stack:
             assert time.monotonic() < deadline, list(self.launcher.children[service].lines)
             self._pause()
 
-    def wait_until_it_leaves(self, state):
-        """Until the emulated controller is in any state but this."""
-        deadline = time.monotonic() + TIMEOUT_S
-        while self.emulator()["state"] == state:
-            assert time.monotonic() < deadline, self.phase()
-            self._pause()
-
     def wait_cycles(self, count):
         """Until the controller has gone through so many cycles."""
         end = self.emulator()["cycle"] + count
