@@ -202,7 +202,8 @@ async def test_where_a_verdict_is_lost_move_says_so_and_the_next_one_goes_on(run
         assert (lost.seq, lost.outcome, lost.dq) == (1, Outcome.UNKNOWN, ())
         assert (lost.reasons[0].code, lost.reasons[0].bound) == (ReasonCode.UNREACHABLE, VERDICT_DEADLINE_S)
         running.peer.judges = True
-        assert (await robot.move(DQ)).outcome is Outcome.ADMITTED
+        answered = await robot.move(DQ)  # which a busy machine may have refused for the age of its state
+        assert (answered.seq, answered.outcome is Outcome.UNKNOWN) == (2, False)
 
 
 async def test_a_verdict_that_is_lost_is_missing_among_those_that_come(running: Running) -> None:
