@@ -22,29 +22,28 @@ KEEP = (
 )
 
 
+def _identity_of(whom: str) -> Any:
+    return typer.Option(metavar="NAME", help=f"Make an identity for this {whom}; repeatable.")
+
+
+AuthorityOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FOLDER",
+        help="Folder of the authority's key.",
+        show_default="authority in the folder of --output",
+    ),
+]
+
+
 def keys(
     output: Annotated[
         Path, typer.Option(metavar="PATH", help="Folder for the identities; with --secret the file.")
     ],
     cell: CellOption = "lab",
-    operator: Annotated[
-        list[str] | None,
-        typer.Option("--operator", metavar="NAME", help="Make an identity for this operator; repeatable."),
-    ] = None,
-    controller: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--controller", metavar="NAME", help="Make an identity for this controller; repeatable."
-        ),
-    ] = None,
-    authority: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER",
-            help="Folder of the authority's key.",
-            show_default="authority in the folder of --output",
-        ),
-    ] = None,
+    operator: Annotated[list[str] | None, _identity_of("operator")] = None,
+    controller: Annotated[list[str] | None, _identity_of("controller")] = None,
+    authority: AuthorityOption = None,
     days: Annotated[
         int, typer.Option(min=1, max=3650, help="Days for which the identities are valid.")
     ] = 730,

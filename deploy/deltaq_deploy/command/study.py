@@ -55,6 +55,11 @@ NoGateOption = Annotated[
         "--no-gate", help="Run a collision without the gate, to show what the follower alone prevents."
     ),
 ]
+_FOLLOWING = typer.Option(
+    help="Robot with the camera (default: the cell's first); of peg-and-valve the robot that works.",
+    metavar="ROBOT",
+)
+_WATCHED = typer.Option(help="Robot that is watched (default: the first other one).", metavar="ROBOT")
 ModesOption = Annotated[
     list[str] | None,
     typer.Option("--mode", help="peg-and-valve: only this mode of teleoperation; repeatable."),
@@ -77,17 +82,8 @@ def experiment(
     name: Annotated[Experiment, typer.Argument(help="Experiment to run.")],
     cell: CellOption = "lab",
     controller: ControllerOption = FOLLOWS,
-    robot: Annotated[
-        str | None,
-        typer.Option(
-            help="Robot with the camera (default: the cell's first); of peg-and-valve the robot that works.",
-            metavar="ROBOT",
-        ),
-    ] = None,
-    leader: Annotated[
-        str | None,
-        typer.Option(help="Robot that is watched (default: the first other one).", metavar="ROBOT"),
-    ] = None,
+    robot: Annotated[str | None, _FOLLOWING] = None,
+    leader: Annotated[str | None, _WATCHED] = None,
     leader_speed_m_s: Annotated[
         float, typer.Option(min=0.0, help="Speed that the leader's tool is asked for.")
     ] = 0.25,
@@ -115,11 +111,11 @@ def experiment(
     from deltaq_deploy.command.console import print_json
     from deltaq_services.recorder.writer import RecordingError
 
+    if name is Experiment.PEG_AND_VALVE and (live or figure is not None or record is not None):
+        raise typer.BadParameter(
+            "peg-and-valve runs in virtual time, and takes --robot, --mode, --seeds and --json alone"
+        )
     if name is Experiment.PEG_AND_VALVE:
-        if live or figure is not None or record is not None:
-            raise typer.BadParameter(
-                "peg-and-valve runs in virtual time, and takes --robot, --mode, --seeds and --json alone"
-            )
         _peg_and_valve(cell, robot, mode, seeds, json)
         return
     if no_gate and name is not Experiment.COLLISION:
