@@ -3,17 +3,14 @@
 - The navigation follows the lists of `index.md`; a page that they leave out fails the build.
 - Each module of `extra.api` has a page, from its docstrings.
 - A file of the tree that a page links to, an example say, has a page with its text.
-- Diagrams are drawn by the script that comes with NiceGUI, so that none is loaded from elsewhere.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import posixpath
 import re
 from collections.abc import Iterator
-from importlib.util import find_spec
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
@@ -30,7 +27,6 @@ LANGUAGES = {
     ".mjs": "javascript",
     ".yaml": "yaml",
 }
-DRAWS_DIAGRAMS = 'import { mermaid } from "./index.js";\nwindow.mermaid = mermaid;\n'
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
@@ -53,9 +49,6 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
             shown = File.generated(config, f"tree/{path}.md", content=_shown(root, path))
             shown.inclusion = InclusionLevel.NOT_IN_NAV
             files.append(shown)
-    for file in _diagram_scripts():
-        files.append(File.generated(config, f"diagrams/{file.name}", abs_src_path=str(file)))
-    files.append(File.generated(config, "diagrams/site.js", content=DRAWS_DIAGRAMS))
     return files
 
 
@@ -112,10 +105,3 @@ def _shown_notebook(root: Path, path: str) -> str:
         text = "".join(cell["source"])
         parts.append(LINK.sub(led, text) if cell["cell_type"] == "markdown" else f"```python\n{text}\n```")
     return "\n\n".join([*parts, f"The notebook is `{path}`.", ""])
-
-
-def _diagram_scripts() -> list[Path]:
-    nicegui = find_spec("nicegui")
-    assert nicegui is not None  # the extra docs has it
-    folder = Path(os.fspath(nicegui.origin or "")).parent / "elements" / "mermaid" / "dist"
-    return sorted(folder.glob("*.js"))

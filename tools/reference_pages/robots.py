@@ -102,11 +102,9 @@ def _services() -> str:
 def krc() -> str:
     """States, settings and messages of the emulated KRC."""
     states, events = list(krc_states.KrcState), list(krc_states.KrcEvent)
-    arrows = [
-        f"    s{states.index(state)} --> s{states.index(to)}: {event}"
-        for (state, event), to in krc_states.TRANSITIONS.items()
-    ]
-    names = [f"    s{number}: {state}" for number, state in enumerate(states)]
+    changes = (
+        (f"`{state}`", f"`{event}`", f"`{to}`") for (state, event), to in krc_states.TRANSITIONS.items()
+    )
     explained = "\n".join(
         f"- `{each}`: {text}"
         for of in (krc_states.KrcState, krc_states.KrcEvent)
@@ -125,7 +123,8 @@ def krc() -> str:
             " not](../explanation/the-emulator.md).",
             f"## States\n\n{len(states)} states, and the {len(events)} events that change them:",
             explained,
-            "\n".join(["```mermaid", "stateDiagram-v2", *names, "    [*] --> s0", *arrows, "```"]),
+            f"It begins with `{states[0]}`.",
+            table(("state", "event", "next state"), changes),
             "## Settings",
             "Of `python -m deltaq_emulator --settings FILE.yaml`; defaults are the maker's where they are known.",
             settings,

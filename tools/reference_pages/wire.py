@@ -119,9 +119,8 @@ def _values(enum: type[Enum]) -> str:
 
 
 def reasons() -> str:
-    """The reason codes, and the phases of a robot with their picture."""
-    arrows = [f"    {row.phase} --> {row.next_phase}: {row.event}" for row in TRANSITIONS]
-    diagram = "\n".join(["stateDiagram-v2", f"    [*] --> {Phase.OFFLINE}", *arrows])
+    """The reason codes, and the phases of a robot with what changes them."""
+    changes = ((f"`{row.phase}`", row.event, f"`{row.next_phase}`") for row in TRANSITIONS)
     rows = ((f"`{code}`", text) for code, text in EXPLANATIONS.items())
     may_move = " and ".join(f"`{phase}`" for phase in Phase if phase in MAY_MOVE)
     return "\n\n".join(
@@ -132,9 +131,10 @@ def reasons() -> str:
             "## Reason codes",
             table(("code", "meaning"), rows),
             "## Phases of a robot",
-            f"A robot takes admissions in {may_move} only. An event without an arrow changes nothing."
+            f"A robot takes admissions in {may_move} only. It begins `{Phase.OFFLINE}`. An event that is not listed"
+            " for a phase changes nothing."
             " [What is proved of it](../notes/what-is-proved-of-the-phases.md).",
-            f"```mermaid\n{diagram}\n```",
+            table(("phase", "event", "next phase"), changes),
         ]
     )
 

@@ -212,7 +212,7 @@ def in_words(summary: dict[str, Any]) -> tuple[str, ...]:
         f"camera: {_followed(summary['tracking'])}",
         f"gate: it admitted {counts['admitted']} increments whole, limited {counts['scaled']}, braked instead of "
         f"{counts['held']} and refused {counts['refused']}",
-        f"cycles of {summary['cycle_s'] * 1000:g} ms: {'; '.join(missed)}",
+        f"cycles of {summary['cycle_s'] * 1000:g} ms, as a client saw them: {'; '.join(missed)}",
         NEXT,
     )
 
@@ -221,12 +221,13 @@ def _followed(tracking: dict[str, Any] | None) -> str:
     """How well the camera followed, beside the paper."""
     if not tracking:
         return "it left no figures"
-    angle_deg, distance_m = (tracking[name]["rms"] for name in ("angle_deg", "distance_m"))
-    if angle_deg is None:
+    angle_deg, distance_m = tracking["angle_deg"], tracking["distance_m"]
+    if angle_deg["rms"] is None:
         return "it followed for too short a time to judge it; let the demo run for more than 5 s"
     told = (
-        f"it kept the target within {angle_deg:.2f}° and {100 * distance_m:.1f} cm (rms), the paper within "
-        f"{PAPER_ANGLE_DEG:g}° and {PAPER_DISTANCE_CM:g} cm"
+        f"it kept the target within {angle_deg['rms']:.2f}° and {100 * distance_m['rms']:.1f} cm (rms; at most "
+        f"{angle_deg['max']:.2f}° and {100 * distance_m['max']:.1f} cm), the paper within {PAPER_ANGLE_DEG:g}° and "
+        f"{PAPER_DISTANCE_CM:g} cm"
     )
     view = tracking["view"]
     looked = sum(view[sight] for sight in ("fresh", "view_stale", "view_lost", "view_hidden"))
