@@ -21,9 +21,9 @@ settings.load_profile("repeatable")
 @pytest.fixture(scope="session", autouse=True)
 def runtime_folder():
     """A folder for the sockets of the guarded realm; its path is short, as that of a Unix socket has to be."""
-    from deltaq_services.hli.zenoh_session import give_each_session_a_thread
+    from deltaq_services.hli.zenoh_session import let_threads_wait
 
-    give_each_session_a_thread()  # as the HLI's process does, before a test opens the first session
+    let_threads_wait()  # as the HLI's process does, before a test opens the first session
     before = os.environ.get("XDG_RUNTIME_DIR")
     with tempfile.TemporaryDirectory(prefix="dq-", dir="/tmp") as folder:
         os.environ["XDG_RUNTIME_DIR"] = folder

@@ -41,8 +41,13 @@ class InvalidMessageError(ProtocolError):
 
 def pack(message: Message) -> bytes:
     """Encode a message as a msgpack map."""
-    packed: bytes = msgpack.packb(message.model_dump())
+    packed: bytes = msgpack.packb(message.__dict__, default=_fields)
     return packed
+
+
+def _fields(part: BaseModel) -> dict[str, Any]:
+    """A part of a message, as msgpack meets it; `model_dump` would copy the whole message first."""
+    return part.__dict__
 
 
 def unpack(message_type: type[M], payload: bytes, max_bytes: int = MAX_MESSAGE_BYTES) -> M:

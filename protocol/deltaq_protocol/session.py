@@ -8,6 +8,7 @@ than queued. Where there is a link of datagrams beside the other (`tcp+udp/`), s
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -32,6 +33,14 @@ _OPEN_MS = 3000
 """A firewall may swallow datagrams: their link is given up after this, and tried again. No session closes meanwhile."""
 
 
+_SHARED_THREADS = (
+    "(app: (worker_threads: 2), rx: (handover: app), acc: (handover: app), net: (handover: app))"
+)
+"""zenoh's threads, as its environment variable has them: those that accept and connect would wake others to read."""
+THREADS = "ZENOH_RUNTIME"
+"""Environment variable of zenoh's threads; it has no effect once a session is open."""
+
+
 def open_session(
     listen: Sequence[str] = (),
     connect: Sequence[str] = (),
@@ -51,6 +60,7 @@ def open_session(
     Raises:
         ServiceUnreachableError: if an endpoint can neither be listened on nor, with `must_connect`, reached.
     """
+    os.environ.setdefault(THREADS, _SHARED_THREADS)
     settings: dict[str, object] = {
         "mode": "peer",
         "listen/endpoints": [link for text in listen for link in _links(text)],

@@ -10,7 +10,7 @@ import pytest
 
 from deltaq_protocol import topics
 from deltaq_services.hli import zenoh_session
-from deltaq_services.hli.zenoh_session import LoopSession
+from deltaq_services.hli.zenoh_session import HliSession
 
 
 class Waits:
@@ -45,8 +45,8 @@ async def test_the_proven_and_those_who_stop_are_served_and_then_their_session_i
     monkeypatch.setattr(zenoh_session, "FloodWait", lambda most_s: waits.append(Waits(most_s)) or waits[-1])
     taken: list[int] = []
     session = Session()
-    loop_session = LoopSession(session, "small", asyncio.get_running_loop())
-    loop_session.answer(topic, taken.append, goes_first)
+    hli_session = HliSession(session, "small", asyncio.get_running_loop())
+    hli_session.answer(topic, taken.append, goes_first)
     for query in range(100):
         session.put(query)
         assert sum(wait.asked for wait in waits) == query + 1
@@ -55,7 +55,7 @@ async def test_the_proven_and_those_who_stop_are_served_and_then_their_session_i
         await asyncio.sleep(0)
         assert len(taken) - before <= zenoh_session._QUERIES_A_TURN, "the loop turns to others in between"
     assert taken == list(range(100))
-    loop_session.close()
+    hli_session.close()
 
 
 async def test_who_floods_with_proven_questions_keeps_those_of_strangers_not_waiting_nor_the_other_way(
@@ -64,9 +64,9 @@ async def test_who_floods_with_proven_questions_keeps_those_of_strangers_not_wai
     waits: list[Waits] = []
     monkeypatch.setattr(zenoh_session, "FloodWait", lambda most_s: waits.append(Waits(most_s)) or waits[-1])
     session = Session()
-    loop_session = LoopSession(session, "small", asyncio.get_running_loop())
-    loop_session.answer(topics.RESET, lambda _: None, lambda query: bool(query % 2))
+    hli_session = HliSession(session, "small", asyncio.get_running_loop())
+    hli_session.answer(topics.RESET, lambda _: None, lambda query: bool(query % 2))
     for query in range(9):
         session.put(query)
     assert sorted(wait.asked for wait in waits) == [4, 5]
-    loop_session.close()
+    hli_session.close()

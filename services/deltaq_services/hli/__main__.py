@@ -21,7 +21,7 @@ from deltaq_protocol.real_time import SchedulingPriority, ask_for_real_time
 from deltaq_services.hli.client_roles import ClientRoles, client_roles
 from deltaq_services.hli.line_encryption import line_encryption
 from deltaq_services.hli.shell import Hli
-from deltaq_services.hli.zenoh_session import give_each_session_a_thread
+from deltaq_services.hli.zenoh_session import let_threads_wait
 from deltaq_services.process import arguments, run
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def _client_identities(cell: CellDescription) -> tuple[ClientIdentities | None, 
 def main() -> None:
     """Serve the clients of a cell."""
     options = arguments("High-level interface: between controllers and the gate", writes_audit=True)
-    give_each_session_a_thread()
+    let_threads_wait()
     # zenoh's threads hand over in microseconds instead of waiting for the interpreter's usual 5 ms
     sys.setswitchinterval(0.0005)
     cell = CellModel.load(options.cell)

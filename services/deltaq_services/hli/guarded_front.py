@@ -18,7 +18,8 @@ from deltaq_protocol.sayings import HLI, SIM, robot_server
 from deltaq_protocol.topic import Party, Topic
 from deltaq_services.guarded_realm import open_guarded_session
 from deltaq_services.hli.port import Port
-from deltaq_services.hli.zenoh_session import LoopSession
+from deltaq_services.hli.zenoh_session import HliSession
+from deltaq_services.outputs import Output
 
 _log = logging.getLogger(__name__)
 
@@ -34,13 +35,17 @@ class GuardedFront:
     """
 
     def __init__(self, cell: CellDescription, port: Port) -> None:
-        self._cell, self._robots = cell.cell, tuple(cell.robots)
+        robots = tuple(cell.robots)
+        streams = topics.SERVER_STATE, topics.GATE_VERDICT
+        self._concerned = {
+            stream.key(cell.cell, robot=robot): (robot,) for stream in streams for robot in robots
+        }
         self._port = port
-        self._envelopes = Envelopes(HLI, cell.cell, self._robots)
-        services = [*map(robot_server, self._robots), SIM]
+        self._envelopes = Envelopes(HLI, cell.cell, robots)
+        services = [*map(robot_server, robots), SIM]
         session = open_guarded_session(cell, Party.HLI, HLI, connect=services)
-        self._session = LoopSession(session, cell.cell, port.loop, self._envelopes)
-        for topic in (topics.SERVER_STATE, topics.GATE_VERDICT, topics.COMMAND_REPLY, topics.HEALTH):
+        self._session = HliSession(session, cell.cell, port.loop, self._envelopes)
+        for topic in (*streams, topics.COMMAND_REPLY, topics.HEALTH):
             self._session.subscribe(topic, partial(self._take, topic.message))
 
     def publish(self, topic: Topic, robot: str, message: Message) -> None:
@@ -56,16 +61,19 @@ class GuardedFront:
         self._session.close()
 
     def _take(self, message_type: type[Message], sample: zenoh.Sample) -> None:
+        key, port = str(sample.key_expr), self._port
+        robots = self._concerned.get(key, ())
+        port.serve(lambda: self._judged(message_type, key, sample.payload.to_bytes()), robots)
+
+    def _judged(self, message_type: type[Message], key: str, payload: bytes) -> list[Output]:
+        core = self._port.core
         try:
-            opened = self._envelopes.open(str(sample.key_expr), sample.payload.to_bytes())
-            message = unpack(message_type, opened)
+            message = unpack(message_type, self._envelopes.open(key, payload))
         except StaleMessageError:
-            self._port.core.counters["stale_guarded"] += 1
-            return
+            core.counters["stale_guarded"] += 1
+            return []
         except ProtocolError as error:
-            self._port.core.counters["malformed_guarded"] += 1
-            _log.warning("%s: %s", sample.key_expr, error)
-            return
-        robot = getattr(message, "robot", "")  # of a state or a verdict
-        robots = (robot,) if robot in self._robots else ()
-        self._port.serve(lambda: self._port.core.take(message, self._port.now()), robots)
+            core.counters["malformed_guarded"] += 1
+            _log.warning("%s: %s", key, error)
+            return []
+        return core.take(message, self._port.now())

@@ -35,13 +35,13 @@ from deltaq_services.hli.authentication import Authentication
 from deltaq_services.hli.leases import Sequence
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.requests import ROWS, RequestRow
-from deltaq_services.hli.zenoh_session import FloodWait, LoopSession
+from deltaq_services.hli.zenoh_session import FloodWait, HliSession
 from deltaq_services.outputs import ClientOrigin, Output, Sender
 from deltaq_services.rate_limit import RateLimit
 
-# Increments that come over zenoh, sifted before the loop hears of them: whose they are, and how many there may be.
+# Increments that come over zenoh, sifted before the core hears of them: whose they are, and how many there may be.
 #
-# It works in zenoh's threads. A stranger's increments cost one MAC each: they do not wake the loop, nobody
+# It works in zenoh's threads. A stranger's increments cost one MAC each: nobody
 # decodes them, and they take no holder's place in a queue.
 
 MOST_A_CYCLE = 4
@@ -65,7 +65,7 @@ class Sifted(NamedTuple):
 
 
 class Sieve:
-    """Keeps increments without a proof, and increments that are too many, from the loop.
+    """Keeps increments without a proof, and increments that are too many, from the core.
 
     Args:
         keys: zenoh key of each robot's increments, by robot.
@@ -92,7 +92,7 @@ class Sieve:
         self._counters: Counter[str] = Counter()
 
     def sift(self, sample: zenoh.Sample) -> Sifted | None:
-        """An increment to pass on to the loop; None: it is counted and dropped."""
+        """An increment to be judged; None: it is counted and dropped."""
         key = str(sample.key_expr)
         robot, proof = self._robots.get(key), sample.attachment
         if robot is None or proof is None:
@@ -140,7 +140,7 @@ class Sieve:
 
 
 def _seq_in(payload: bytes) -> int | None:
-    """The sequence number of an increment, which the loop is to decode; None if it has none."""
+    """The sequence number of an increment, which is to be decoded; None if it has none."""
     if len(payload) > MAX_MESSAGE_BYTES:
         return None
     try:
@@ -195,9 +195,9 @@ class OpenFront:
         rules = access(Party.HLI, Realm.OPEN, cell.cell)
         tls = service_tls(cell, [cell.hli], os.environ.get(IDENTITY), HLI)
         self._opened = open_session(listen=[cell.hli], access=rules, tls=tls)
-        session = self._session = LoopSession(self._opened, cell.cell, port.loop)
+        session = self._session = HliSession(self._opened, cell.cell, port.loop)
         self._sieve = Sieve(self._increment_keys, cell.cycle_s, port.authentication, port.now)
-        session.subscribe_sifted(topics.INCREMENT, self._sieve.sift, self._on_increment)
+        session.subscribe(topics.INCREMENT, self._on_increment)
         session.answer(topics.STOP, self._on_stop)
         for row in ROWS:
             if row.topic is not None and row.topic is not topics.STOP:
@@ -232,8 +232,10 @@ class OpenFront:
         """Close the realm to clients."""
         self._session.close()
 
-    def _on_increment(self, sifted: Sifted) -> None:
-        self._port.serve(lambda: self._judged(sifted), (sifted.robot,))
+    def _on_increment(self, sample: zenoh.Sample) -> None:
+        sifted = self._sieve.sift(sample)
+        if sifted is not None:
+            self._port.serve(lambda: self._judged(sifted), (sifted.robot,))
 
     def _judged(self, sifted: Sifted) -> list[Output]:
         port = self._port

@@ -1,4 +1,8 @@
-"""The shell of the HLI: sockets, sessions and time. It decides nothing."""
+"""The shell of the HLI: sockets, sessions and time. It decides nothing.
+
+Messages of zenoh are taken in zenoh's threads, lines and questions in the event loop. A lock lets one thread at a time
+decide, and send what was decided.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +10,13 @@ import asyncio
 import logging
 import secrets
 import ssl
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
@@ -38,6 +43,8 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 _TICK_S = 0.02
+
+M = TypeVar("M")
 
 
 class Hli:
@@ -77,6 +84,7 @@ class Hli:
         )
         self._audit_file = audit_file
         self._unproven = 0
+        self._lock = threading.RLock()
         self.authentication = Authentication(self.core.leases, self.roles, secrets.token_hex(32), identities)
         self.loop: asyncio.AbstractEventLoop
         self._cell = cell
@@ -84,7 +92,7 @@ class Hli:
         self._pace = Pace(topics.HEALTH.period_s(cell.cycle_s))
 
     async def __aenter__(self) -> Hli:
-        self.loop = asyncio.get_running_loop()
+        self.loop, self._loop_thread = asyncio.get_running_loop(), threading.get_ident()
         self._audit = Audit(self._audit_file, self._publish_entry, self._secrets, self.now)
         try:
             return await self._begin()
@@ -123,7 +131,8 @@ class Hli:
 
     def status(self) -> Status:
         """The running cell, with what the fronts counted."""
-        return self.core.status(self.now(), self._front_counters())
+        with self._lock:
+            return self.core.status(self.now(), self._front_counters())
 
     def serve(
         self,
@@ -132,26 +141,38 @@ class Hli:
         sender: Sender | None = None,
         asked: Mapping[str, object] = MappingProxyType({}),
     ) -> None:
-        """Send what the core decides, in its order; what fails on its way is lost, see `HliCore.contained`."""
-        for output in self.core.contained(decide, self.now(), robots, sender, asked):
-            try:
-                self._send(output)
-            except Exception as error:
-                self.core.failed(error)
-        self.core.containment.log_once(_log)
+        """Send what the core decides, in its order; what fails on its way is lost, see `HliCore.contained`.
+
+        Any thread may call this.
+        """
+        with self._lock:
+            for output in self.core.contained(decide, self.now(), robots, sender, asked):
+                try:
+                    self._send(output)
+                except Exception as error:
+                    self.core.failed(error)
+            self.core.containment.log_once(_log)
 
     def _send(self, output: Output) -> None:
         if isinstance(output, ToSender):
-            output.sender.deliver(output.message)
+            self._in_loop(output.sender.deliver, output.message)
         elif output.topic.realm is Realm.GUARDED:
             self._guarded.publish(output.topic, output.robot, output.message)
         else:
             self._open.publish(output.topic, output.robot, output.message)
-            if isinstance(output.message, RobotState):
-                self._tcp.publish_state(output.message)
+            if isinstance(output.message, RobotState) and self._tcp.connections:
+                self._in_loop(self._tcp.publish_state, output.message)
+
+    def _in_loop(self, do: Callable[[M], None], message: M) -> None:
+        """Connections belong to the loop; in its own thread nothing has to wait for it."""
+        if threading.get_ident() == self._loop_thread:
+            do(message)
+        else:
+            self.loop.call_soon_threadsafe(do, message)
 
     def _tell(self, deed: Deed) -> None:
-        self._audit.tell(deed)
+        with self._lock:
+            self._audit.tell(deed)
 
     def _publish_entry(self, entry: AuditEntry) -> None:
         self._guarded.publish(topics.AUDIT_ENTRY, "", entry)
@@ -176,10 +197,11 @@ class Hli:
         now = self.now()
         self._next_tick = self.loop.call_at(now + _TICK_S, self._tick)
         self.serve(lambda: self.core.on_tick(now), self._cell.robots)
-        self._tell_of_unproven()
-        self._audit.tick()
-        if self._pace.due(now):
-            self._publish_health(now)
+        with self._lock:
+            self._tell_of_unproven()
+            self._audit.tick()
+            if self._pace.due(now):
+                self._publish_health(now)
 
     def _publish_health(self, now: float) -> None:
         lagging = self.core.lagging(now)

@@ -1,39 +1,41 @@
-"""A zenoh session of the HLI: what its threads receive is served in the loop."""
+"""A zenoh session of the HLI: messages are taken in zenoh's threads, questions in the loop."""
 
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 
 import zenoh
 
 from deltaq_protocol.codec import pack
 from deltaq_protocol.envelope import Envelopes
-from deltaq_protocol.inbox import ITEMS_A_TURN, ClientInbox, ServedInLoop
+from deltaq_protocol.inbox import ClientInbox, ServedInLoop
 from deltaq_protocol.messages import Message
-from deltaq_protocol.session import MAX_SESSIONS, declare_publisher, sending
+from deltaq_protocol.session import THREADS, declare_publisher, sending
 from deltaq_protocol.topic import Topic
 from deltaq_services.rate_limit import RateLimit
+
+_log = logging.getLogger(__name__)
 
 # A flood over zenoh waits at its sender's: the thread that reads its session pauses, and that of no other.
 
 _WAIT_S = 0.004
 """What a session waits for each message beyond the rate."""
+_THREADS = "(rx: (worker_threads: 14), net: (worker_threads: 2), acc: (handover: net), app: (handover: net))"
 
 
-_OWN_SESSIONS = 16
-"""To the SIM and the Robot Servers."""
+def let_threads_wait() -> None:
+    """Have zenoh read sessions in threads that do nothing else; before the first session is opened.
 
-
-def give_each_session_a_thread() -> None:
-    """Have zenoh read each session in a thread of its own; before the first one is opened, or it has no effect."""
-    threads = MAX_SESSIONS + _OWN_SESSIONS
-    os.environ.setdefault("ZENOH_RUNTIME", f"(rx: (worker_threads: {threads}))")
+    Threads that read and also look for what has come would keep other sessions waiting with the one that floods.
+    """
+    os.environ.setdefault(THREADS, _THREADS)
 
 
 class FloodWait:
@@ -55,23 +57,21 @@ class FloodWait:
             time.sleep(_WAIT_S)
 
 
-T = TypeVar("T")
-
 _WAITING = 256
-"""Samples or queries of one topic that may wait for the loop; at rest there is none."""
+"""Queries of one topic that may wait for the loop; at rest there is none."""
 _QUERIES_S = 200.0
 """Of one topic, of all who prove nothing, and as many of all others: whoever asks more has to wait, and nobody else."""
 _QUERIES_A_TURN = 4
 """Of one topic, before the loop turns to others: robots' states do not wait for a flood of questions."""
 
 
-class LoopSession:
-    """Publishes, and serves subscriptions and queries of all robots and services in an event loop.
+class HliSession:
+    """Publishes, takes messages of all robots and services, and answers queries in an event loop.
 
     Args:
         session: an open zenoh session; it is closed by `close`.
         cell: name of the cell, for the keys.
-        loop: the loop that everything is served in.
+        loop: the loop that queries are answered in.
         envelopes: encloses all that is published; None in the open realm.
     """
 
@@ -85,23 +85,22 @@ class LoopSession:
         self._served = ServedInLoop(session, loop)
         self._inboxes: dict[str, ClientInbox[Any]] = {}
         self._first: list[ClientInbox[Any]] = []
+        self._failed = 0
 
     def subscribe(self, topic: Topic, take: Callable[[zenoh.Sample], None]) -> None:
-        """Call `take` in the loop with every sample of a topic, of any robot and service."""
-        self._served.subscribe(topic.key(self._cell), self._inbox(topic, take).put)
+        """Call `take` in zenoh's threads with every sample of a topic, of any robot and service.
 
-    def subscribe_sifted(
-        self, topic: Topic, sift: Callable[[zenoh.Sample], T | None], take: Callable[[T], None]
-    ) -> None:
-        """As `subscribe`, but `take` gets what `sift` returns for a sample in zenoh's thread; None is not passed on."""
-        inbox = self._inbox(topic, take)
+        To wake the loop would cost more than to decide. A sample that `take` fails on is logged and lost.
+        """
 
-        def put(sample: zenoh.Sample) -> None:
-            sifted = sift(sample)
-            if sifted is not None:
-                inbox.put(sifted)
+        def taken(sample: zenoh.Sample) -> None:
+            try:
+                take(sample)
+            except Exception:  # no message may end zenoh's thread
+                self._failed += 1
+                _log.exception("a message could not be served")
 
-        self._served.subscribe(topic.key(self._cell), put)
+        self._served.subscribe(topic.key(self._cell), taken)
 
     def answer_at_once(self, topic: Topic, take: Callable[[zenoh.Query], None]) -> None:
         """Call `take` in zenoh's thread with every query of a topic; for answers that need no decision."""
@@ -124,7 +123,8 @@ class LoopSession:
         Queries for which `goes_first` is true, as asked in zenoh's thread, wait in a queue of their own. A client that
         asks too much has to wait, in either queue, but only after its query was queued: so no stop waits for a flood.
         """
-        inbox, flood = self._inbox(topic, take, _QUERIES_A_TURN), FloodWait(_QUERIES_S)
+        flood = FloodWait(_QUERIES_S)
+        inbox = self._inboxes[topic.name] = self._served.inbox(take, _WAITING, _QUERIES_A_TURN)
         if goes_first is None:
             self._served.answer(topic.key(self._cell), _put_and_wait(inbox, flood))
             return
@@ -148,7 +148,9 @@ class LoopSession:
     def counters(self) -> Counter[str]:
         """Counts of messages that were dropped because they came too fast, and of messages that could not be served."""
         counters = Counter({f"{name}_dropped": inbox.dropped for name, inbox in self._inboxes.items()})
-        counters["failed"] = sum(inbox.failed for inbox in (*self._inboxes.values(), *self._first))
+        counters["failed"] = self._failed + sum(
+            inbox.failed for inbox in (*self._inboxes.values(), *self._first)
+        )
         return counters
 
     def close(self) -> None:
@@ -164,12 +166,6 @@ class LoopSession:
                 self._session, key, self._envelopes, topic.priority
             )
         return publisher
-
-    def _inbox(
-        self, topic: Topic, take: Callable[[Any], None], a_turn: int = ITEMS_A_TURN
-    ) -> ClientInbox[Any]:
-        inbox = self._inboxes[topic.name] = self._served.inbox(take, _WAITING, a_turn)
-        return inbox
 
 
 def _put_and_wait(inbox: ClientInbox[zenoh.Query], flood: FloodWait) -> Callable[[zenoh.Query], None]:
