@@ -114,7 +114,6 @@ def rsi_reply(cycles: int = CYCLES) -> BenchRow:
         "an echo of the same bytes in C",
         server,
         echo,
-        no_bound_because="a KRC waits as long as a cycle",
     )
 
 

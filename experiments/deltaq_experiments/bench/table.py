@@ -33,8 +33,6 @@ class BenchRow(BaseModel):
     p99_9_at_most: float | None = None
     longest_at_most: float | None = None
     kept: bool | None = None
-    no_bound_because: str = ""
-    """Why nothing is promised; empty where something is."""
 
     @classmethod
     def of(
@@ -43,18 +41,9 @@ class BenchRow(BaseModel):
         reference: str,
         seconds: Sequence[float],
         references: Sequence[float],
-        no_bound_because: str = "",
         **bounds: float,
     ) -> BenchRow:
-        """The row of two series of times [s], neither of them empty; `bounds` are the fields `..._at_most`.
-
-        Raises:
-            ValueError: if there is neither a bound nor a reason why, or both.
-        """
-        if bool(bounds) == bool(no_bound_because):
-            raise ValueError(
-                f"{what}: either a bound or a reason why there is none, not {bounds}, {no_bound_because!r}"
-            )
+        """The row of two series of times [s], neither of them empty; `bounds` are the fields `..._at_most`."""
 
         def ratio(percent: float) -> float:
             return float(np.percentile(seconds, percent)) / float(np.percentile(references, percent))
@@ -68,7 +57,6 @@ class BenchRow(BaseModel):
             p99_ratio=ratio(99.0),
             p99_9_ratio=ratio(99.9),
             longest_ratio=ratio(100.0),
-            no_bound_because=no_bound_because,
             **bounds,
         )
         promised = row.bounds.values()
