@@ -224,10 +224,9 @@ class DriverReport(Message):
     """How the driver is doing, some times a second while it changes.
 
     `limit` says what limits the operator now, `doing` what the mode is about, both in words. `goes_through` is the
-    fraction of the wish that mode and gate let through, in tenths; 1 where nothing limits. `longest_cycle_s` is the
-    longest time from a state to its verdict since the report before [s]. `search` is there in modes that offer ways.
-    `grip` is the one that was chosen; with an object `hands_off` is there once it is held. `master` leads a hand when
-    commands say so, `master_scale` times its way; it is empty where none was chosen.
+    fraction of the wish that mode and gate let through, in tenths; 1 where nothing limits. `search` is there in
+    modes that offer ways. `grip` is the one that was chosen; with an object `hands_off` is there once it is held.
+    `master` leads a hand when commands say so, `master_scale` times its way; it is empty where none was chosen.
     """
 
     type: Literal["report"] = "report"
@@ -242,7 +241,6 @@ class DriverReport(Message):
     goes_through: Fraction = 1.0
     doing: str = ""
     distance_m: Real | None = None
-    longest_cycle_s: Real | None = None
     search: Search | None = None
 
 

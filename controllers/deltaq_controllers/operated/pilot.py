@@ -299,7 +299,7 @@ class Pilot:
         if self._active.limitation is not None:
             self._limit = self._active.limitation.text
 
-    def report(self, stage: DriverStage, longest_cycle_s: float | None = None) -> DriverReport:
+    def report(self, stage: DriverStage) -> DriverReport:
         """How the robot is driven."""
         distance_m = None if self._follower is None else self._follower.desired_distance_m
         offers = self._offers
@@ -320,7 +320,6 @@ class Pilot:
             master_scale=1.0 if master is None else master.scale,
             doing=doing,
             distance_m=distance_m,
-            longest_cycle_s=longest_cycle_s,
             search=None if offers is None else search_of(offers),
         )
 

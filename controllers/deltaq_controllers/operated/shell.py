@@ -62,7 +62,6 @@ class OperatedRobot:
         self._leaving = asyncio.Event()
         self._release: Release | None = None
         self._is_over = self._is_serving = False
-        self._longest_s = 0.0
         self._told: tuple[float, DriverReport | None] = (0.0, None)
         self._tasks: set[asyncio.Task[None]] = set()
         self._planning = asyncio.Lock()
@@ -213,7 +212,6 @@ class OperatedRobot:
                     await answers.send(state, cycle, increment)
             for verdict in answers.verdicts():
                 pilot.take_verdict(verdict)
-            self._longest_s = max(self._longest_s, time.monotonic() - began_s)
 
     async def _report(self) -> None:
         while True:
@@ -223,8 +221,7 @@ class OperatedRobot:
             told_s, told = self._told
             if report != told or now_s - told_s >= TOLD_AGAIN_S:
                 self._told = (now_s, report)
-                self._say(report.model_copy(update={"longest_cycle_s": self._longest_s or None}))
-                self._longest_s = 0.0
+                self._say(report)
             ways = self._pilot.ways()
             if ways != self._told_ways:
                 self._told_ways = ways
