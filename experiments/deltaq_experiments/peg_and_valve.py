@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.advisor.session import SynchronousAdvisor
+from deltaq_controllers.advisor.session import AdvisorSession, SynchronousAdvisor
 from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.inverse.tracking import first_redundant
 from deltaq_controllers.live import model_of
@@ -215,7 +215,9 @@ class _Run:
         self._cycles = 0
 
     def _advisor(self, robot: RobotModel) -> AdvisorMode:
-        return AdvisorMode(robot, self._cycle_s, SynchronousAdvisor(self._stack.cell, robot.name))
+        return AdvisorMode(
+            robot, self._cycle_s, SynchronousAdvisor(AdvisorSession(self._stack.cell, robot.name))
+        )
 
     def figures(self) -> ModeFigures:
         """Do the task, as far as it goes."""

@@ -8,7 +8,7 @@ from driving import CYCLE_S
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.advisor.session import SynchronousAdvisor
+from deltaq_controllers.advisor.session import AdvisorSession, SynchronousAdvisor
 from deltaq_controllers.criteria.postures import RobotData
 from deltaq_controllers.modes.advisor import Advisor, AdvisorMode, tracker_of
 from deltaq_controllers.modes.hand_modes import CoupledMode, weighed
@@ -30,7 +30,9 @@ def advised(
 ) -> Teleoperator:
     def advisor_mode(robot: RobotModel) -> AdvisorMode:
         tracker_of(robot, hands_may_leave)
-        answers = advisor or SynchronousAdvisor(cell_of(robot.name), robot.name, options=3, effort=0.5)
+        answers = advisor or SynchronousAdvisor(
+            AdvisorSession(cell_of(robot.name), robot.name, options=3, effort=0.5)
+        )
         made = AdvisorMode(robot, CYCLE_S, answers)
         made.hands_may_leave = hands_may_leave
         return made

@@ -236,7 +236,7 @@ def off_m(run: PlainDrive) -> float:
 @pytest.mark.nightly
 def test_from_a_way_on_which_the_hand_left_its_place_another_option_has_it_in_place_again() -> None:
     run = PlainDrive("gr", DrivingMode.JOINT)
-    advisor = SynchronousAdvisor(cell_of("gr"), "gr", options=12, effort=0.3)
+    advisor = SynchronousAdvisor(AdvisorSession(cell_of("gr"), "gr", options=12, effort=0.3))
     run.teleoperator = advised(run.robot, advisor=advisor, hands_may_leave=True)
     run.drive(0.3)
     options = advisor_of(run.teleoperator).options

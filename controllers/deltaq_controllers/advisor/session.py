@@ -166,11 +166,7 @@ class SynchronousAdvisor:
     """Answers before it returns, the other robots of the cell at home.
 
     Args:
-        cell: model of the cell.
-        robot: name of the robot.
-        weights: of the criteria; the advisor's own if not given.
-        options: how many at most.
-        effort: of the search.
+        session: that answers.
 
     Attributes:
         tracker: of the robot.
@@ -180,16 +176,8 @@ class SynchronousAdvisor:
     trouble = ""
     is_busy = False
 
-    def __init__(
-        self,
-        cell: CellModel,
-        robot: str,
-        weights: Mapping[str, float] | None = None,
-        options: int = 5,
-        effort: float = 1.0,
-    ) -> None:
-        self._counsel = AdvisorSession(cell, robot, weights, options=options, effort=effort)
-        self.tracker = self._counsel.tracker
+    def __init__(self, session: AdvisorSession) -> None:
+        self._counsel, self.tracker = session, session.tracker
         self.progress: Progress | None = None
 
     def prepare(self) -> None:

@@ -65,13 +65,11 @@ class Postures:
     Args:
         data: of the robot.
         q: (N, n) configurations [rad or m].
-        frames: joints placed at `q`, if they are known already.
     """
 
-    def __init__(self, data: RobotData, q: Array, frames: FrameBatch | None = None) -> None:
+    def __init__(self, data: RobotData, q: Array) -> None:
         self.data = data
         self.q = np.atleast_2d(np.asarray(q, dtype=np.float64))
-        self._frames = frames
 
     def __len__(self) -> int:
         return len(self.q)
@@ -79,7 +77,7 @@ class Postures:
     @cached_property
     def frames(self) -> FrameBatch:
         """All joints, placed."""
-        return self._frames or self.data.kinematics.frames(self.q)
+        return self.data.kinematics.frames(self.q)
 
     @cached_property
     def near(self) -> MeasuredPairs:

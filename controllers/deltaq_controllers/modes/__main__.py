@@ -44,7 +44,7 @@ def compile_ahead(cell: str) -> None:
     from deltaq_cell.cell_model import CellModel
     from deltaq_cell.machine_code import compiling_shown
     from deltaq_cell.robot import RobotModel
-    from deltaq_controllers.advisor.session import SynchronousAdvisor
+    from deltaq_controllers.advisor.session import AdvisorSession, SynchronousAdvisor
     from deltaq_controllers.modes.advisor import AdvisorMode, tracker_of
     from deltaq_controllers.modes.practice import practise
     from deltaq_controllers.modes.teleoperator import MODES, Teleoperator
@@ -56,7 +56,7 @@ def compile_ahead(cell: str) -> None:
 
     def advisor_mode(robot: RobotModel) -> AdvisorMode:
         tracker_of(robot, hands_may_leave=True)
-        return AdvisorMode(robot, cycle_s, SynchronousAdvisor(model, robot.name))
+        return AdvisorMode(robot, cycle_s, SynchronousAdvisor(AdvisorSession(model, robot.name)))
 
     modes = {**MODES, DrivingMode.ADVISOR: advisor_mode}
     with compiling_shown("the modes of driving by hand", FUNCTIONS):
