@@ -7,6 +7,7 @@ home, `M_jj a_j`, stands in: a drive has at least that. Forces and loads are in 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -235,49 +236,17 @@ def dexterity(postures: Postures) -> Array:
 # without a step.
 
 
-def clearance(postures: Postures) -> Array:
-    """Of all pairs [m]."""
-    return _room(postures, np.ones(len(postures.near.row), dtype=np.bool_))
+def clearances(
+    *kinds: PairKind,
+) -> tuple[Callable[[Postures], Array], Callable[[Postures], Array]]:
+    """The clearance of pairs of these kinds [m], and its gradient."""
+    return partial(_room, kinds=kinds), partial(_gradient, kinds=kinds)
 
 
-def clearance_gradient(postures: Postures) -> Array:
-    """Of `clearance`."""
-    return _gradient(postures, np.ones(len(postures.near.row), dtype=np.bool_))
-
-
-def self_clearance(postures: Postures) -> Array:
-    """Of the robot from itself [m]."""
-    return _room(postures, postures.near.kind == PairKind.SELF)
-
-
-def self_clearance_gradient(postures: Postures) -> Array:
-    """Of `self_clearance`."""
-    return _gradient(postures, postures.near.kind == PairKind.SELF)
-
-
-def obstacle_clearance(postures: Postures) -> Array:
-    """Of the robot from the structure [m]."""
-    return _room(postures, postures.near.kind == PairKind.ENVIRONMENT)
-
-
-def obstacle_clearance_gradient(postures: Postures) -> Array:
-    """Of `obstacle_clearance`."""
-    return _gradient(postures, postures.near.kind == PairKind.ENVIRONMENT)
-
-
-def robot_clearance(postures: Postures) -> Array:
-    """Of the robot from other robots [m]."""
-    return _room(postures, postures.near.kind == PairKind.ROBOTS)
-
-
-def robot_clearance_gradient(postures: Postures) -> Array:
-    """Of `robot_clearance`."""
-    return _gradient(postures, postures.near.kind == PairKind.ROBOTS)
-
-
-def _weights(postures: Postures, counts: Flags) -> tuple[Array, Array, Array]:
+def _weights(postures: Postures, kinds: tuple[PairKind, ...]) -> tuple[Array, Array, Array]:
     """(N,) least room, FAR_M where nothing is near; (e,) weight of each pair; (N,) their sum and that of FAR_M."""
     near, least = postures.near, np.full(len(postures), FAR_M)
+    counts = np.isin(near.kind, kinds)
     np.minimum.at(least, near.row[counts], near.room[counts])
     weight = np.where(counts, np.exp(-(near.room - least[near.row]) / SOFT_M), 0.0)
     total = np.exp(-(FAR_M - least) / SOFT_M)
@@ -285,15 +254,15 @@ def _weights(postures: Postures, counts: Flags) -> tuple[Array, Array, Array]:
     return least, weight, total
 
 
-def _room(postures: Postures, counts: Flags) -> Array:
-    least, _, total = _weights(postures, counts)
+def _room(postures: Postures, kinds: tuple[PairKind, ...]) -> Array:
+    least, _, total = _weights(postures, kinds)
     room: Array = least - SOFT_M * np.log(total)
     return room
 
 
-def _gradient(postures: Postures, counts: Flags) -> Array:
+def _gradient(postures: Postures, kinds: tuple[PairKind, ...]) -> Array:
     near = postures.near
-    _, weight, total = _weights(postures, counts)
+    _, weight, total = _weights(postures, kinds)
     gradient = np.zeros_like(postures.q)
     np.add.at(gradient, near.row, (weight / total[near.row])[:, None] * postures.near_rates)
     return gradient

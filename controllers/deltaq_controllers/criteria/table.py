@@ -17,6 +17,7 @@ from typing import Literal
 import numpy as np
 
 from deltaq_controllers.criteria import formulas
+from deltaq_controllers.criteria.near_bodies import PairKind
 from deltaq_controllers.criteria.postures import Postures, RobotData
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
@@ -96,25 +97,25 @@ TABLE: tuple[Criterion, ...] = (
         "clearance", Category.CONSTRAINT,
         "smooth minimum of the room of the nearest pairs of all pairs",
         "approach to collisions of Hooper and Noakes, III-C", "m", "more",
-        formulas.clearance, formulas.clearance_gradient, reference=0.1,
+        *formulas.clearances(*PairKind), reference=0.1,
     ),
     Criterion(
         "obstacle_clearance", Category.CONSTRAINT,
         "smooth minimum of the room of the nearest pairs of the robot and the structure",
         "Hooper and Noakes, I: obstacle avoidance, environment", "m", "more",
-        formulas.obstacle_clearance, formulas.obstacle_clearance_gradient, reference=0.1,
+        *formulas.clearances(PairKind.ENVIRONMENT), reference=0.1,
     ),
     Criterion(
         "robot_clearance", Category.CONSTRAINT,
         "smooth minimum of the room of the nearest pairs of the robot and other robots as they stand",
         "Hooper and Noakes, I: obstacle avoidance, environment", "m", "more",
-        formulas.robot_clearance, formulas.robot_clearance_gradient, reference=0.1,
+        *formulas.clearances(PairKind.ROBOTS), reference=0.1,
     ),
     Criterion(
         "self_clearance", Category.CONSTRAINT,
         "smooth minimum of the room of the nearest pairs of two bodies of the robot",
         "Hooper and Noakes, I: obstacle avoidance, system", "m", "more",
-        formulas.self_clearance, formulas.self_clearance_gradient, reference=0.1,
+        *formulas.clearances(PairKind.SELF), reference=0.1,
     ),
     Criterion(
         "manipulability", Category.GEOMETRIC,
