@@ -274,7 +274,7 @@ from deltaq_emulator.__main__ import main
 
 for arguments in json.loads(sys.argv[1]):
     try:
-        status = main(["--cell", "lab", "--robot", "fr", *arguments])
+        status = main(["--cell", "lab", "--robot", "fr", "--panel", sys.argv[2], *arguments])
     except SystemExit as ended:
         status = ended.code
     print(f"status {status}", file=sys.stderr)
@@ -284,10 +284,10 @@ for arguments in json.loads(sys.argv[1]):
 def test_what_cannot_be_started_is_said_in_one_line_with_status_2() -> None:
     with socket.socket(type=socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
-        panel = f"127.0.0.1:{taken.getsockname()[1]}"
+        panel, free = (f"127.0.0.1:{port}" for port in (taken.getsockname()[1], *free_ports(1)))
         tried = (*CANNOT_BE_STARTED, (["--panel", panel], f"cannot listen on {panel}: "))
         done = subprocess.run(
-            [sys.executable, "-c", STARTS, json.dumps([arguments for arguments, _ in tried])],
+            [sys.executable, "-c", STARTS, json.dumps([arguments for arguments, _ in tried]), free],
             capture_output=True,
             text=True,
             timeout=2 * PATIENCE_S,
