@@ -101,7 +101,7 @@ REAL = "Real robots"
 
 VERBS: dict[str, tuple[Verb, ...]] = {
     RUN: (
-        Verb("up", up.up, ("deltaq up", "deltaq up --cell lab-4ms --record run.mcap --no-console")),
+        Verb("up", up.up, ("deltaq up", "deltaq up --cell lab-4ms --record start.mcap --no-console")),
         Verb("demo", demo.demo, ("deltaq demo --open", "deltaq demo --duration-s 20 --no-console --json")),
         Verb(
             "keys",
@@ -137,7 +137,7 @@ VERBS: dict[str, tuple[Verb, ...]] = {
             "recording record",
             recordings.record,
             (
-                "deltaq recording record --output run.mcap",
+                "deltaq recording record --output run.mcap --duration-s 5",
                 "deltaq recording record --output short.mcap --duration-s 5 --json",
             ),
         ),
@@ -226,7 +226,7 @@ VERBS: dict[str, tuple[Verb, ...]] = {
             study.experiment,
             (
                 "deltaq experiment tracking --duration-s 10 --figure tracking.png",
-                "deltaq experiment peg-and-valve --cell dawm --seeds 1 --mode decoupled",
+                "deltaq experiment peg-and-valve --seeds 1 --mode decoupled",
             ),
         ),
         Verb(
@@ -265,7 +265,8 @@ VERBS: dict[str, tuple[Verb, ...]] = {
             "fault impair",
             fault.impair,
             (
-                "deltaq fault impair --listen tcp/127.0.0.1:7460 --to tcp/127.0.0.1:7447 --delay-s 0.03",
+                "deltaq fault impair --listen tcp/127.0.0.1:7460 --to tcp/127.0.0.1:7447 --delay-s 0.03"
+                " --duration-s 60",
                 "deltaq fault impair --listen udp/127.0.0.1:7461 --to udp/127.0.0.1:7462 --loss-share 0.1"
                 " --duration-s 2",
             ),
