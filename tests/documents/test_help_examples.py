@@ -24,7 +24,8 @@ NOT_RUN = {
 }
 BESIDE_THE_CELL = {
     "status", "topic echo", "topic hz", "topic", "recording record", "metrics", "audit", "drive", "run",
-    "camera follow", "camera view", "camera show", "camera", "stop", "reset", "lease", "io", "contact", "dry-run", "fault inject",
+    "camera follow", "camera view", "camera show", "camera", "stop", "reset", "lease", "io", "contact", "dry-run",
+    "recording", "fault inject",
 }  # fmt: skip
 UNTIL_CTRL_C = {
     "deltaq up": "cell lab is up",

@@ -130,7 +130,7 @@ VERBS: dict[str, tuple[Verb, ...]] = {
             "Record a cell; replay, draw and report recordings.",
             (
                 "deltaq recording record --output run.mcap --duration-s 5",
-                "deltaq recording replay run.mcap",
+                "deltaq recording report run.mcap --json",
             ),
         ),
         Verb(
