@@ -117,7 +117,7 @@ VERBS: dict[str, tuple[Verb, ...]] = {
         Verb(
             "topic",
             "Follow the streams of a running cell: their messages, their rates.",
-            ("deltaq topic echo verdict --robot fr --count 3", "deltaq topic hz --duration-s 2"),
+            ("deltaq topic echo state --robot gr --count 1", "deltaq topic hz --duration-s 2"),
         ),
         Verb(
             "topic echo",
