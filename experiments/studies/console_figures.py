@@ -22,7 +22,7 @@ from deltaq_deploy.launch.program import run_program
 from studies.console_picture import FLAGS, WIDE, in_mode, opened, options_of, parser_of, take
 
 ROBOT, JOINT, RAD_S = "gr", 8, 0.5
-OPENINGS = 10
+OPENINGS = 5
 
 _ROBOT_NOW = f"deltaq.live.frame.robots[deltaq.live.indexOf('{ROBOT}')]"
 # the wish is taken up anew where the picture was old for a moment, away from the limit that is nearer
@@ -53,9 +53,11 @@ def stops_ms(page: Page, presses: int) -> list[float]:
     take(page, ROBOT)
     in_mode(page, "joint")
     page.evaluate(_MOVE)
+    page.locator("[data-part=stop]").hover()
     for count in range(1, presses + 1):
         page.wait_for_function(_MOVES, arg=page.evaluate("deltaq.stage.frames"))
-        page.locator("[data-part=stop]").click()
+        page.mouse.down()
+        page.mouse.up()
         page.wait_for_function("count => stops.length === count", arg=count)
         page.evaluate("deltaq.scene.robots.forEach(({name: robot}) => deltaq.live.send('reset', {robot}))")
         page.wait_for_function("deltaq.stop.state === 'ready'")
