@@ -103,7 +103,7 @@ def take(page: Page, robot: str) -> None:
     page.locator(f"[data-robot={robot}]").click()
     page.get_by_role("button", name="Take control").click()
     page.wait_for_function(
-        "robot => deltaq.live.robot(robot).lease.mine && deltaq.live.robot(robot).mode", arg=robot
+        "robot => deltaq.live.robot(robot)?.lease.mine && deltaq.live.robot(robot).mode", arg=robot
     )
 
 
