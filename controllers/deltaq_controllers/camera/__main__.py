@@ -12,6 +12,8 @@ from pathlib import Path
 from deltaq_cell.machine_code import folder, is_complete, mark_complete
 
 _PACKAGE = Path(__file__).parents[1]
+_ALL = "all"
+"""What is complete when every controller is."""
 FUNCTIONS, FUNCTIONS_OF_ALL = 140, 220
 """About as many are compiled for one law, and for all."""
 
@@ -27,9 +29,10 @@ def main() -> int:
     )
     names: list[str] = parser.parse_args().names
     where = folder(_PACKAGE)
-    if names and all(is_complete(where, name, _PACKAGE) for name in names):
+    wanted = names or [_ALL]
+    if all(is_complete(where, name, _PACKAGE) for name in wanted):
         return 0
-    for name in compile_ahead(names):
+    for name in {*compile_ahead(names), *wanted}:
         mark_complete(where, name, _PACKAGE)
     return 0
 
