@@ -39,6 +39,8 @@ def judge(run: dict[str, Any], *, slow: bool = True) -> None:
     assert run["overwritten"] == 0
     assert set(run["processor_us"]) == PROCESSES
     assert all(us > 0.0 for us in run["processor_us"].values())
+    assert set(run["wakeups"]) == PROCESSES
+    assert all(count > 0.0 for count in run["wakeups"].values())
     assert run["reference"]["cycles"] > 0
     assert 0.0 <= run["reference"]["in_time"] <= 1.0
     assert set(run["robots"]) == {"fr", "gr"}

@@ -357,8 +357,12 @@ def show_run(run: LiveRun, number: int) -> None:
             title = f"run {number}, {name}: {robot.cycles - robot.fresh} of {robot.cycles} cycles without an admission"
             print_table(title, ("because", "cycles"), robot.braked.items())
     spent = sorted(run.processor_us.items(), key=lambda item: -item[1])
-    title = f"run {number}: processor time of a cycle"
-    print_table(title, ("process", "µs"), [(name, f"{us:.0f}") for name, us in spent])
+    title = f"run {number}: processor time and wake-ups of a cycle"
+    print_table(
+        title,
+        ("process", "µs", "wake-ups"),
+        [(name, f"{us:.0f}", _text(run.wakeups[name], 1)) for name, us in spent],
+    )
     figures = [
         (
             row.what,

@@ -39,6 +39,22 @@ def processor_seconds(pid: int, with_children: bool = False) -> float:
     return own
 
 
+def wakeups(pid: int) -> int:
+    """How often the threads of a process have waited for something so far, and been woken.
+
+    Raises:
+        ProcessLookupError: if it has ended.
+    """
+    count = 0
+    for status in Path(f"/proc/{pid}/task").glob("*/status"):
+        with suppress(OSError):  # a thread has ended since
+            told = status.read_text(encoding="ascii")
+            count += int(told.partition("\nvoluntary_ctxt_switches:")[2].split()[0])
+    if count == 0:
+        raise ProcessLookupError(f"process {pid} has ended")
+    return count
+
+
 @dataclass(frozen=True)
 class MachineTime:
     """Time of all processors since the machine started, in the kernel's ticks.

@@ -19,7 +19,13 @@ from deltaq_deploy.launch.child_process import Exited
 from deltaq_deploy.launch.launcher import Interrupted, Launcher, describe_exit
 from deltaq_deploy.launch.program import LaunchError, LaunchInterruptedError
 from deltaq_deploy.launch.services import Role, Service, cell_services, demo_controllers
-from deltaq_experiments.bench.hop_reference import HopTimes, hop_reference, machine_time, processor_seconds
+from deltaq_experiments.bench.hop_reference import (
+    HopTimes,
+    hop_reference,
+    machine_time,
+    processor_seconds,
+    wakeups,
+)
 from deltaq_experiments.bench.journeys import RobotStamps, by_robot
 from deltaq_experiments.bench.live_figures import LiveRow, RobotFigures, bounded_rows, robot_figures
 from deltaq_experiments.live import LastLines
@@ -55,6 +61,7 @@ class LiveRun(BaseModel):
     Attributes:
         robots: by name.
         processor_us: processor time of each process in a cycle [µs].
+        wakeups: of the threads of each process, in a cycle.
         reference: its cycles, and what share of its messages were back within theirs.
         rows: what is promised, and what is compared.
         silent: processes that left no stamps, so that their stations are missing.
@@ -65,6 +72,7 @@ class LiveRun(BaseModel):
 
     robots: dict[str, RobotFigures]
     processor_us: dict[str, float]
+    wakeups: dict[str, float]
     reference: dict[str, float]
     rows: tuple[LiveRow, ...]
     silent: tuple[str, ...]
@@ -104,6 +112,7 @@ class _Window:
     begin_ns: int
     end_ns: int
     processor_s: dict[str, float]
+    wakeups: dict[str, float]
     reference: HopTimes
     reference_processor_s: float
     stolen_share: float | None
@@ -126,9 +135,12 @@ def _run(
         with hop_reference(cell.cycle_s, options.duration_s, folder) as reference:
             begin_ns = time.monotonic_ns()
             machine_before = machine_time()
-            before, reference_before = _processor(launcher, wait), reference.processor_s()
+            count = partial(_counted, launcher, wait)
+            before, woken_before = count(processor_seconds), count(wakeups)
+            reference_before = reference.processor_s()
             wait(options.duration_s)
-            after, reference_after = _processor(launcher, wait), reference.processor_s()
+            after, woken_after = count(processor_seconds), count(wakeups)
+            reference_after = reference.processor_s()
             stolen_share = machine_time().stolen_share_since(machine_before)
             end_ns = time.monotonic_ns()
             times = reference.times(begin_ns, end_ns)
@@ -136,12 +148,16 @@ def _run(
         launcher.stop_service("follower")
         launcher.stop_service("leader")
     spent = {name: after[name] - before[name] for name in before}
-    return _Window(begin_ns, end_ns, spent, times, reference_after - reference_before, stolen_share)
+    woken = {name: woken_after[name] - woken_before[name] for name in woken_before}
+    return _Window(begin_ns, end_ns, spent, woken, times, reference_after - reference_before, stolen_share)
 
 
-def _processor(launcher: Launcher, wait: Callable[[float], None]) -> dict[str, float]:
+def _counted(
+    launcher: Launcher, wait: Callable[[float], None], count: Callable[[int], float]
+) -> dict[str, float]:
+    """What was counted of each process so far, by its id."""
     try:
-        return {name: processor_seconds(child.pid) for name, child in launcher.children.items()}
+        return {name: count(child.pid) for name, child in launcher.children.items()}
     except ProcessLookupError:
         wait(_END_TOLD_S)  # raises what ended, and how
         raise
@@ -181,6 +197,7 @@ def _figures(
     return LiveRun(
         robots=robots,
         processor_us=processor_us,
+        wakeups={name: count / cycles for name, count in window.wakeups.items()},
         reference={
             "cycles": len(reference.rows),
             "in_time": reference.in_time,
