@@ -2,7 +2,7 @@
 
 import pytest
 
-from deltaq_proofs.attack import run
+from deltaq_testing.attack import run
 
 pytestmark = pytest.mark.long
 

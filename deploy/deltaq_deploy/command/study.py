@@ -25,8 +25,15 @@ class Experiment(StrEnum):
     TRACKING = "tracking"
     ZOOM = "zoom"
     COLLISION = "collision"
+    ATTACK = "attack"
     PEG_AND_VALVE = "peg-and-valve"
 
+
+_TAKES = {
+    Experiment.ATTACK: "--seed, --duration-s",
+    Experiment.PEG_AND_VALVE: "--robot, --mode, --seeds",
+}
+"""Options of the experiments that no camera controller takes part in."""
 
 LatencyOption = Annotated[
     float, typer.Option(min=0.0, help="Delay of the leader's states, on top of drives and cycles.")
@@ -111,10 +118,12 @@ def experiment(
     from deltaq_deploy.command.console import print_json
     from deltaq_services.recorder.writer import RecordingError
 
-    if name is Experiment.PEG_AND_VALVE and (live or figure is not None or record is not None):
-        raise typer.BadParameter(
-            "peg-and-valve runs in virtual time, and takes --robot, --mode, --seeds and --json alone"
-        )
+    takes = _TAKES.get(name)
+    if takes is not None and (live or figure is not None or record is not None):
+        raise typer.BadParameter(f"{name.value} runs in virtual time, and takes {takes} and --json alone")
+    if name is Experiment.ATTACK:
+        _attack(cell, seed, duration_s or 60.0, json)
+        return
     if name is Experiment.PEG_AND_VALVE:
         _peg_and_valve(cell, robot, mode, seeds, json)
         return
@@ -174,6 +183,21 @@ def _run(name: Experiment, asked: dict[str, Any], figure: Path | None) -> dict[s
         title = f"{name.value}, controller {options.controller}, leader: {leads}, seed {options.seed}"
         draw(outcome.panels, title, figure)
     return report
+
+
+def _attack(cell: str, seed: int, duration_s: float, json: bool) -> None:
+    from deltaq_deploy.command.console import print_json, progress_bar
+    from deltaq_testing.attack import run
+
+    with progress_bar(f"attack, {duration_s:g} s") as move:
+        outcome = run(cell, seed=seed, duration_s=duration_s, on_cycle=move)
+    report = outcome.model_dump(mode="json")
+    if json:
+        print_json(report)
+    else:
+        _show(report | {"controller": "adversaries"})
+    if outcome.violations or any(report["limits"].values()):
+        raise typer.Exit(BAD)
 
 
 def _show(report: dict[str, Any]) -> None:

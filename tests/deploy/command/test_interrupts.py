@@ -37,7 +37,7 @@ BY_ONE = [
     ("yaml", "status --service sim"),
     ("yaml", "fault inject krc-hiccup --robot fr"),
     ("numba", "experiment tracking --duration-s 1"),
-    ("pinocchio", "experiment zoom --duration-s 1"),
+    ("pinocchio", "experiment attack --duration-s 1"),
     ("pinocchio", "advise --offline"),
     ("pinocchio", "experiment peg-and-valve"),
     ("pinocchio", "bench"),

@@ -20,7 +20,6 @@ import numpy as np
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_deploy.launch.program import run_program
-from deltaq_proofs.attack import Adversary
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.core import Decider
@@ -28,6 +27,7 @@ from deltaq_services.sim.gate import Decision
 from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.tracker import Tracker
 from deltaq_services.sim.tube import Windows
+from deltaq_testing.attack import Adversary
 from deltaq_testing.oracle import ClearanceOracle
 from deltaq_testing.virtual_cell.cell import VirtualCell
 

@@ -19,11 +19,11 @@ import numpy as np
 
 from deltaq_deploy.launch.program import run_program
 from deltaq_experiments.bench.cornered import CELL, FILE, CorneredSituation
-from deltaq_proofs.attack import Adversary
 from deltaq_protocol.codec import pack
 from deltaq_protocol.guarded import Request
 from deltaq_protocol.messages import Message, Outcome, Phase, Verdict
 from deltaq_services.outputs import ToTopic
+from deltaq_testing.attack import Adversary
 from deltaq_testing.virtual_cell.cell import VirtualCell
 
 SEEDS = range(10)

@@ -1,13 +1,11 @@
 """Both robots driven by adversaries over links that lose, delay, duplicate and reorder: does the gate hold?
 
-`python -m deltaq_proofs.attack` runs it in virtual time; the exit status is 1 if an invariant did not hold. One seed is
-one run. The oracle measures every cycle of both robots as the emulated controllers recorded them; the gate's own
-figures are not believed.
+One seed is one run. The oracle measures every cycle of both robots as the emulated controllers recorded them;
+the gate's own figures are not believed.
 """
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -18,7 +16,6 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from deltaq_cell.robot import RobotModel
-from deltaq_deploy.launch.program import run_program
 from deltaq_emulator.faults import LinkFaults
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.guarded import Admission, ServerState, Supervision
@@ -142,6 +139,7 @@ class AttackReport(BaseModel):
 
     model_config = ConfigDict(frozen=True)
 
+    experiment: str = "attack"
     seed: int
     cycles: int
     decided: int
@@ -172,6 +170,7 @@ def run(
     *,
     seed: int = 0,
     duration_s: float = 60.0,
+    on_cycle: Callable[[int, int], None] | None = None,
 ) -> AttackReport:
     """Attack the gate in virtual time.
 
@@ -179,6 +178,7 @@ def run(
         cell_name: cell whose robots are all driven over RSI.
         seed: seed of the adversaries, the links and the clocks.
         duration_s: virtual length.
+        on_cycle: called with the number of cycles done and the number of all.
     """
     random = np.random.default_rng(seed)
     stack = VirtualCell(cell_name)
@@ -201,6 +201,8 @@ def run(
         stack.cycle(cycled)
         _ask(stack, adversaries, record, random)
         _judge(stack, oracle, record, cycle, cycled)
+        if on_cycle is not None:
+            on_cycle(cycle + 1, cycles)
     return _report(stack, record, seed, cycles)
 
 
@@ -293,25 +295,3 @@ def _report(stack: VirtualCell, record: _Record, seed: int, cycles: int) -> Atta
         resets=record.resets,
         braked_cycles=sum(arm.server.counters["braked_cycles"] for arm in stack.arms.values()),
     )
-
-
-def main() -> int:
-    """Attack the gate of a cell, and print the report as a JSON object; returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m deltaq_proofs.attack", description="Attack the gate of a cell."
-    )
-    parser.add_argument(
-        "--cell", default="lab", help="cell whose robots are all driven over RSI (default: %(default)s)"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="one seed is one run (default: %(default)s)")
-    parser.add_argument(
-        "--duration-s", type=float, default=60.0, help="virtual length (default: %(default)s)"
-    )
-    options = parser.parse_args()
-    report = run(options.cell, seed=options.seed, duration_s=options.duration_s)
-    print(report.model_dump_json(indent=2))
-    return int(bool(report.violations) or report.limits.total > 0)
-
-
-if __name__ == "__main__":
-    run_program(main, "deltaq_proofs.attack")
