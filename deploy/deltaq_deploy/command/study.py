@@ -113,7 +113,8 @@ def experiment(
 ) -> None:
     """Run an experiment in virtual time, or live, and report figures; exit status 1 on a violation.
 
-    peg-and-valve puts in a peg and turns a valve in each mode of teleoperation, and reports time and error.
+    attack drives both robots by adversaries, over links that lose and delay, and has an independent checker judge the
+    gate. peg-and-valve puts in a peg and turns a valve in each mode of teleoperation, and reports time and error.
     """
     from deltaq_deploy.command.console import print_json
     from deltaq_services.recorder.writer import RecordingError

@@ -156,7 +156,8 @@ def _token(service: Service, python: Path) -> Lines:
         "RuntimeDirectoryMode=0700",
         "RuntimeDirectoryPreserve=restart",
         f"Environment={CONSOLE_TOKEN}_FILE={file}",
-        f"ExecStartPre={python.parent / 'deltaq'} key {file} --keep",  # a key's digits are as good a token
+        # a key's digits are as good a token
+        f"ExecStartPre={python.parent / 'deltaq'} keys --secret --keep --output {file}",
     ]
 
 

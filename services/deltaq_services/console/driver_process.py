@@ -23,7 +23,7 @@ _MOST_WAITING_BYTES = 64 * 1024
 _LONGEST_LINE_BYTES = 64 * 1024
 
 
-class Child:
+class ConsoleProgram:
     """A Python process, while it runs. It ends by itself when its input ends.
 
     Args:
@@ -152,7 +152,7 @@ class DriverProcess:
         self._command = ("-m", "deltaq_controllers.operated", "--url", hli, "--robot", robot)
         environment = {**os.environ, CLIENT_TOKEN: token, f"{CLIENT_TOKEN}_FILE": ""} if token else None
         self._said, self._ended = said, ended
-        self._child = Child(self._take, self._has_ended, _ENDS_WITHIN_S, environment)
+        self._child = ConsoleProgram(self._take, self._has_ended, _ENDS_WITHIN_S, environment)
 
     def send(self, request: driving.DriverRequest) -> None:
         """Ask it for something; it is started if it does not run."""

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from deltaq_protocol.log import message_of
-from deltaq_services.console.driver_process import Child
+from deltaq_services.console.driver_process import ConsoleProgram
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,120}\.mcap")
 _MOST_LISTED = 500
@@ -85,7 +85,7 @@ class RecorderProcess:
 
     def __init__(self, cell: str, began: Callable[[], None], ended: Callable[[str], None]) -> None:
         self._cell, self._began, self._ended = cell, began, ended
-        self._child = Child(self._said, self._has_ended, _ENDS_WITHIN_S, tells_errors=True)
+        self._child = ConsoleProgram(self._said, self._has_ended, _ENDS_WITHIN_S, tells_errors=True)
         self._has_begun = self._is_wanted = False
         self._last = ""
 
