@@ -50,7 +50,6 @@ class GuardedPeer:
         self.phases = dict.fromkeys(cell.robots, Phase.READY)
         self.reasons: dict[str, ReasonCode | None] = dict.fromkeys(cell.robots)
         self._due: dict[tuple[str, int], tuple[float, ...]] = {}
-        self._asked_cycle: dict[str, int] = {}
         self._last_due = dict.fromkeys(cell.robots, 0)
         self._alive: dict[str, asyncio.Event] = {name: asyncio.Event() for name in cell.robots}
         self._loop = asyncio.get_running_loop()
@@ -74,14 +73,9 @@ class GuardedPeer:
         ]
 
     async def turn(self, robot: str = "fr", cycles: int = 1) -> int:
-        """Publish the states of the next cycles, each answered by a request; returns the last cycle.
-
-        The cycle after one with an increment is left out: its state brings no request.
-        """
+        """Publish the states of the next cycles, each answered by a request; returns the last cycle."""
         for _ in range(cycles):
             self._begin_cycle(robot)
-            if self._asked_cycle.get(robot) == self.cycle - 1 and self.cell.gate.lookahead_cycles == 1:
-                self.cycle += 1
             self._alive[robot].clear()
             # until the HLI has found us what we publish reaches nobody
             while not self._alive[robot].is_set():
@@ -187,7 +181,6 @@ class GuardedPeer:
         self._alive[request.robot].set()
         if request.dq is None:
             return
-        self._asked_cycle[request.robot] = self.cycle
         self.increments.put_nowait(request)
         if self.judges:
             self.judge(request)
