@@ -78,7 +78,7 @@ class ServerState(Message):
 
 
 class Request(Message):
-    """HLI to SIM: the newest increment of a robot, or none as a heartbeat in a cycle after one without an increment.
+    """HLI to SIM, at least once a cycle and robot: the newest increment, or none as a heartbeat.
 
     An increment answers the state of `cycle`; `newest` is the cycle of the newest state that the HLI had when it sent
     the request, if it may differ. A heartbeat's `cycle` is that of the newest state, and its `lease_epoch` that of the

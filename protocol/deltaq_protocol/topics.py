@@ -115,7 +115,7 @@ SERVER_STATE = Topic(
 )  # fmt: skip
 REQUEST = Topic(
     "request", Realm.GUARDED, Kind.STREAM, _GUARDED + "{robot}/request", guarded.Request,
-    publishers=_HLI, readers=_SIM, rate=_AT_MOST_EVERY_CYCLE, max_age_cycles=10,
+    publishers=_HLI, readers=_SIM, rate=_EVERY_CYCLE, max_age_cycles=10,
 )  # fmt: skip
 ADMISSION = Topic(
     "admission", Realm.GUARDED, Kind.STREAM, _GUARDED + "{robot}/admission", guarded.Admission,

@@ -270,8 +270,7 @@ class Bench:
         self.cycle, self.time_s = self.cycle + 1, self.time_s + CYCLE_S
         outputs = self.core.on_server_state(server_state("fr", self.cycle, **changes), self.time_s)
         messages = [one.message for one in outputs if isinstance(one, ToTopic)]
-        nothing = Request(robot="fr", cycle=self.cycle, lease_epoch=0)  # where the gate needs no heartbeat
-        request = next((one for one in messages if isinstance(one, Request)), nothing)
+        (request,) = (one for one in messages if isinstance(one, Request))
         (state,) = (one for one in messages if isinstance(one, RobotState))
         return request, state, verdicts(outputs)
 

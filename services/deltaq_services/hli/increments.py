@@ -104,17 +104,14 @@ class Increments:
         return [ToSender(sender, Error(code=error.code, message=str(error), hint=hint, **answered))]
 
     def on_cycle(self, robot: str, link: RobotLink, time_s: float) -> list[Output]:
-        """A state has come: ask the gate for the increment whose turn it is, or send a heartbeat if it needs one."""
+        """A state has come: ask the gate for the increment whose turn it is, or send a heartbeat."""
         asked, outputs = self._whose_turn(link, time_s)
         if asked is not None:
             return [self._request(robot, link, asked), *outputs]
-        lease = self._state.leases.of(robot)
-        epoch = lease.epoch if lease else 0
-        if not link.needs_heartbeat(epoch):
-            return outputs
         self._state.counters["signs_of_life"] += 1
         assert link.state is not None  # it has just come
-        alive = Request(robot=robot, cycle=link.state.cycle, lease_epoch=epoch)
+        lease = self._state.leases.of(robot)
+        alive = Request(robot=robot, cycle=link.state.cycle, lease_epoch=lease.epoch if lease else 0)
         return [ToTopic(topics.REQUEST, robot, alive), *outputs]
 
     def _whose_turn(self, link: RobotLink, time_s: float) -> tuple[Asked | None, list[Output]]:

@@ -126,7 +126,6 @@ class RobotLink(Part):
         self.playout: PlayoutBuffer | None = None
         self._max_state_age_s = max_state_age_s
         self._asked_cycle: int | None = None
-        self._asked_epoch = 0
         self._answered_cycle = -1
         self._awaited: dict[int, Sender | None] = {}
         self._waiting: Asked | None = None
@@ -256,17 +255,6 @@ class RobotLink(Part):
         """Whether an increment waits for the next state."""
         return self._waiting is not None
 
-    def needs_heartbeat(self, lease_epoch: int) -> bool:
-        """Whether the gate is told in this cycle that there is nothing new.
-
-        A request in the cycle before told as much, if the lease is the same. With a lookahead a request may wait at
-        the gate for the HLI's word in the next cycle.
-        """
-        asked = self._asked_cycle, self._asked_epoch
-        return (
-            self._admitted is not None or self.state is None or asked != (self.state.cycle - 1, lease_epoch)
-        )
-
     def drop(self) -> list[Asked]:
         """Forget the increments that wait, and return them."""
         waited = [] if self.playout is None else self.playout.drop()
@@ -293,8 +281,7 @@ class RobotLink(Part):
 
     def _sent(self, asked: Asked) -> Asked:
         assert self.state is not None  # nothing is due before the first state
-        self._asked_cycle, self._asked_epoch = self.state.cycle, asked.lease_epoch
-        self._answered_cycle = asked.increment.cycle
+        self._asked_cycle, self._answered_cycle = self.state.cycle, asked.increment.cycle
         self._awaited[asked.increment.seq] = asked.sender
         while len(self._awaited) > _MAX_AWAITED:
             self._awaited.pop(next(iter(self._awaited)))
