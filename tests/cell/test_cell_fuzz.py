@@ -193,6 +193,6 @@ def test_what_is_deep_endless_or_empty_is_told(tmp_path: Path, text: str) -> Non
 def test_the_command_ends_with_status_1_and_a_line_and_no_traceback(tmp_path: Path, text: str) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text(text, encoding="utf-8")
-    done = CliRunner().invoke(app, ["check", str(file)], catch_exceptions=False)
+    done = CliRunner().invoke(app, ["check", "--cell", str(file)], catch_exceptions=False)
     assert done.exit_code == 1
     assert done.output.startswith("error: ")

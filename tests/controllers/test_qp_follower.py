@@ -254,7 +254,9 @@ def test_a_robot_without_a_camera_is_refused() -> None:
 def test_every_name_makes_a_controller(name: str) -> None:
     controller = camera_controller_named(name, Scene(lab(), "fr", "gr"), 1.25)
     home, q_leader = lab().robots["fr"].home, lab().robots["gr"].home
-    assert controller.errors(home, q_leader)[0] < np.deg2rad(1.0)
+    assert controller.errors(home, q_leader)[0] < np.deg2rad(
+        2.0
+    )  # home looks at the tool, 4 cm behind the aim
     assert controller.clearance(home, q_leader) > 0.3
 
 

@@ -19,7 +19,7 @@ from deltaq_deploy.launch.launcher import Launcher
 from deltaq_deploy.launch.program import LaunchError
 from deltaq_deploy.launch.services import Role, Service
 from deltaq_experiments.bench.hop_reference import HopReferenceError, hop_reference, processor_seconds
-from deltaq_experiments.bench.live import _processor, _wait
+from deltaq_experiments.bench.live import _counted, _wait
 from deltaq_experiments.bench.native import CompilerError, program
 from deltaq_experiments.live import LastLines
 
@@ -140,4 +140,4 @@ def test_a_process_that_ended_before_it_was_measured_is_named_with_what_it_said(
         assert launcher.children["follower"].exited.wait(60)
         wait = partial(_wait, launcher, lines, time.monotonic(), lambda _: None)
         with pytest.raises(LaunchError, match=r"follower ended with exit status 3(.|\n)*no such cell"):
-            _processor(launcher, wait)
+            _counted(launcher, wait, processor_seconds)

@@ -159,5 +159,5 @@ def test_what_a_camera_looked_at_is_told_where_it_was(cell: CellModel, tmp_path:
                 writer.publish(topics.STATE, state, round(1e9 * PERIOD_S * cycle))
     robots = replayed(tmp_path / "run.mcap", str(cell.identity))["robots"]
     told = robots["fr"]["focus"]
-    assert told[-5:] == [[1.0, 2.0, 3.0], [0.9, 2.0, 3.04], None, None, [-0.4, 0.7, 1.3]]
+    assert told[-5:] == [[1.0, 2.0, 3.04], [0.9, 2.0, 3.04], None, None, [-0.4, 0.7, 1.3]]
     assert set(robots["gr"]["focus"]) == {None}

@@ -86,11 +86,12 @@ class CameraTask:
 
     def __init__(self, scene: Scene) -> None:
         self._robot, self._leader = scene.robot, scene.leader
+        self._aim = np.array([*scene.aim_offset_m, 1.0])
 
     def errors(self, q: Array, q_leader: Array) -> ViewErrors:
         """The errors at measured configurations (n,) of both robots [rad or m]."""
         T_world_camera = self._robot.camera_pose(q)
-        lens, focus = T_world_camera[:3, 3], self._leader.forward(q_leader)[:3, 3]
+        lens, focus = T_world_camera[:3, 3], (self._leader.forward(q_leader) @ self._aim)[:3]
         distance_m = float(np.linalg.norm(focus - lens))
         return ViewErrors(
             view_angle(T_world_camera[:3, :3], lens, focus), distance_m - self.desired_distance_m
