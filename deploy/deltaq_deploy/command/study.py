@@ -116,7 +116,6 @@ def experiment(
     attack drives both robots by adversaries, over links that lose and delay, and has an independent checker judge the
     gate. peg-and-valve puts in a peg and turns a valve in each mode of teleoperation, and reports time and error.
     """
-    from deltaq_deploy.command.console import print_json
     from deltaq_services.recorder.writer import RecordingError
 
     takes = _TAKES.get(name)
@@ -150,12 +149,19 @@ def experiment(
         "record": record,
     }
     report = _run(name, options, figure)
+    _told(report, report, json)
+    if any(report["limits"].values()):
+        raise typer.Exit(BAD)
+
+
+def _told(report: dict[str, Any], shown: dict[str, Any], json: bool) -> None:
+    """Print a report as JSON, or what of it is shown as a table."""
+    from deltaq_deploy.command.console import print_json
+
     if json:
         print_json(report)
     else:
-        _show(report)
-    if any(report["limits"].values()):
-        raise typer.Exit(BAD)
+        _show(shown)
 
 
 def _run(name: Experiment, asked: dict[str, Any], figure: Path | None) -> dict[str, Any]:
@@ -187,16 +193,13 @@ def _run(name: Experiment, asked: dict[str, Any], figure: Path | None) -> dict[s
 
 
 def _attack(cell: str, seed: int, duration_s: float, json: bool) -> None:
-    from deltaq_deploy.command.console import print_json, progress_bar
+    from deltaq_deploy.command.console import progress_bar
     from deltaq_testing.attack import run
 
     with progress_bar(f"attack, {duration_s:g} s") as move:
         outcome = run(cell, seed=seed, duration_s=duration_s, on_cycle=move)
     report = outcome.model_dump(mode="json")
-    if json:
-        print_json(report)
-    else:
-        _show(report | {"controller": "adversaries"})
+    _told(report, report | {"controller": "adversaries"}, json)
     if outcome.violations or any(report["limits"].values()):
         raise typer.Exit(BAD)
 
