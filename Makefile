@@ -124,7 +124,7 @@ wheels: $(USERS) ## the wheels that the image installs, so that its build needs 
 image: wheels ## build the container image deltaq
 	docker build --build-arg BASE=$(BASE) --build-arg WHEELS=build/wheels -f deploy/Dockerfile -t deltaq .
 
-container-test: image ## bring the stack up on a real engine and move a robot from outside
+container-test: $(INSTALLED) image ## bring the stack up on a real engine and move a robot from outside
 	$(BIN)/pytest -m container --timeout 600
 
 constraints: $(INSTALLED) ## pin what is installed now
