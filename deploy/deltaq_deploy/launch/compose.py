@@ -50,7 +50,7 @@ HARDENED: dict[str, Any] = {
     "read_only": True,
     "cap_drop": ["ALL"],
     "security_opt": ["no-new-privileges:true"],
-    "logging": {"driver": "local", "options": {"max-size": "10m", "max-file": "3"}},
+    "logging": {"driver": "json-file", "options": {"max-size": "10m", "max-file": "3"}},  # Podman knows it, too
 }
 
 
