@@ -14,7 +14,7 @@ with (
     socket.create_connection((host, int(port)), timeout=5) as sock,
     sock.makefile("r", encoding="utf-8") as lines,  # to read only: one file for both would lose lines
 ):
-    sock.sendall(b'{"type":"hello","protocol":1,"client":"example"}\n')
+    sock.sendall(b'{"type":"hello","protocol":3,"client":"example"}\n')
     sock.sendall(b'{"type":"lease","robot":"fr","action":"acquire"}\n')
     target, seq, left = None, 0, math.inf
     while abs(left) > math.radians(0.05):

@@ -61,7 +61,7 @@ class Robot(BlockingRobot):
     def step(self, dq: ArrayLike, check: bool = True) -> Verdict:
         """Ask for an increment `dq` (n,) over one cycle [rad or m]; see `deltaq.aio.Robot.step`."""
         verdict = self.move(increment_of(self.summary, dq))
-        return checked(self.name, verdict) if check else verdict
+        return checked(self.name, verdict, self.summary) if check else verdict
 
     def move_to(self, target: ArrayLike, speed: float = 0.2) -> RobotState:
         """Move to a configuration `target` (n,) [rad or m]; see `deltaq.aio.Robot.move_to`."""

@@ -84,7 +84,7 @@ class Robot:
             ServiceUnreachableError: the server is gone.
         """
         verdict = await self.leased.move(increment_of(self.summary, dq))
-        return checked(self.name, verdict) if check else verdict
+        return checked(self.name, verdict, self.summary) if check else verdict
 
     async def move_to(self, target: ArrayLike, speed: float = 0.2) -> RobotState:
         """Move to a configuration along a straight line in joint space; returns when the robot is at rest there.

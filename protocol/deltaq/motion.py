@@ -22,6 +22,24 @@ _PATIENCE_S = 0.5
 """A motion that the gate keeps in its place for so long has failed [s]."""
 _ARRIVED = 1e-9
 """Distance to the end of the path, which has the length 1, at which the end is reached."""
+_SPEED_UNITS = {
+    ReasonCode.POSITION_LIMIT: "",
+    ReasonCode.VELOCITY_LIMIT: "/s",
+    ReasonCode.ACCELERATION_LIMIT: "/s²",
+}
+"""What follows a joint's unit in the value of a reason."""
+_REMEDIES = {
+    ReasonCode.POSITION_LIMIT: "move the joint the other way",
+    ReasonCode.VELOCITY_LIMIT: "send a smaller increment",
+    ReasonCode.ACCELERATION_LIMIT: "change the increment by less from cycle to cycle",
+    ReasonCode.CLEARANCE: "move the other way, or along another path",
+    ReasonCode.RETREAT: "move the two bodies apart, slowly",
+    ReasonCode.SLOW_DOWN: "approach more slowly",
+    ReasonCode.CONTACT: "move slowly, or forbid the contact: `deltaq contact NAME --forbid`",
+    ReasonCode.STOPPED: "when the cause is gone and it is safe: `deltaq reset`",
+    ReasonCode.NOT_READY: "`deltaq status` shows which service is missing",
+}
+"""What to do about a reason; the page on troubleshooting has the others."""
 _PASSING = (
     *(ReasonCode.STALE_CYCLE, ReasonCode.FUTURE_CYCLE, ReasonCode.SUPERSEDED, ReasonCode.LATE),
     *(ReasonCode.NOT_READY, ReasonCode.LEASE_NOT_HELD),
@@ -43,14 +61,22 @@ class MotionError(RefusedError):
         bound: what is allowed, in the unit of `value`.
     """
 
-    def __init__(self, message: str, reason: Reason | None, hint: str = "") -> None:
+    def __init__(
+        self, message: str, reason: Reason | None, hint: str = "", summary: RobotSummary | None = None
+    ) -> None:
         reason = reason or Reason(code=ReasonCode.UNREACHABLE)  # no verdict and no state said why
         self.what, self.value, self.bound = reason.what, reason.value, reason.bound
-        super().__init__(reason.code.value, f"{message}: {_told(reason)}", hint)
+        hint = hint or _REMEDIES.get(reason.code, "")
+        super().__init__(reason.code.value, f"{message}: {_told(reason, summary)}", hint)
 
 
-def checked(robot: str, verdict: Verdict) -> Verdict:
+def checked(robot: str, verdict: Verdict, summary: RobotSummary | None = None) -> Verdict:
     """The verdict, if the increment was admitted as it was asked for.
+
+    Args:
+        robot: name of the robot.
+        verdict: the gate's answer to the increment.
+        summary: the robot's joints and their units, for the error's message.
 
     Raises:
         MotionError: it was limited, held or refused, or no verdict came.
@@ -58,7 +84,7 @@ def checked(robot: str, verdict: Verdict) -> Verdict:
     if verdict.outcome is Outcome.ADMITTED:
         return verdict
     reason = verdict.reasons[0] if verdict.reasons else None
-    raise MotionError(f"the increment of {robot} was {verdict.outcome.value}", reason)
+    raise MotionError(f"the increment of {robot} was {verdict.outcome.value}", reason, summary=summary)
 
 
 def held(state: RobotState) -> MotionError:
@@ -68,10 +94,13 @@ def held(state: RobotState) -> MotionError:
     return MotionError(f"{state.robot} is held", reason, remedy)
 
 
-def _told(reason: Reason) -> str:
-    value = "" if reason.value is None else f" {reason.value:.4g}"
-    bound = "" if reason.bound is None else f" (bound {reason.bound:.4g})"
-    return f"{reason.what}{value}{bound}, {EXPLANATIONS[reason.code]}".lstrip(" ,")
+def _told(reason: Reason, summary: RobotSummary | None) -> str:
+    unit = " m" if reason.code is ReasonCode.CLEARANCE else ""
+    if summary is not None and reason.what in summary.joints and reason.code in _SPEED_UNITS:
+        unit = f" {summary.units[summary.joints.index(reason.what)]}{_SPEED_UNITS[reason.code]}"
+    value = "" if reason.value is None else f" {reason.value:.4g}{unit}"
+    bound = "" if reason.bound is None else f" (bound {reason.bound:.4g}{unit})"
+    return f"{EXPLANATIONS[reason.code]}: {reason.what}{value}{bound}".rstrip(" :")
 
 
 def joint_path(robot: str, summary: RobotSummary, start: Array, target: Array) -> Array:
@@ -112,7 +141,7 @@ class Motion:
             raise InvalidMotionError(
                 f"speed: {speed:.6g} is not above 0 and at most 1 (share of the joints' velocities)"
             )
-        self._robot, self._path = robot, path
+        self._robot, self._path, self._summary = robot, path, summary
         segments = len(path) - 1
         velocity = np.maximum(np.abs(np.diff(path, axis=0)).max(axis=0) * segments, 1e-12)
         bend = np.zeros_like(velocity)
@@ -143,7 +172,7 @@ class Motion:
         if verdict.reasons:
             self._reason = verdict.reasons[0]
             if verdict.outcome is Outcome.REFUSED and self._reason.code not in _PASSING:
-                checked(self._robot, verdict)
+                checked(self._robot, verdict, self._summary)
 
     def increment(self, cycle: int, q_cmd: Array) -> Array | None:
         """The increment (n,) after the setpoint `q_cmd` (n,) of a cycle; None when that is the path's end [rad or m].
@@ -158,7 +187,9 @@ class Motion:
         self._at, self._cycle = place, cycle
         if self._stood > self._patience_cycles:
             raise MotionError(
-                f"{self._robot} stands {1.0 - place:.0%} of its way before the target", self._reason
+                f"{self._robot} stands {1.0 - place:.0%} of its way before the target",
+                self._reason,
+                summary=self._summary,
             )
         left = 1.0 - place
         if left <= _ARRIVED:

@@ -29,4 +29,6 @@ def ask_for_real_time(priority: SchedulingPriority) -> None:
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except PermissionError:
-        _log.warning("no real-time priority: the system does not allow it to this user")
+        _log.warning(
+            "no real-time priority: the system does not allow it to this user (`deltaq doctor` says what to do)"
+        )

@@ -62,7 +62,7 @@ class Containment:
             from the beginning; whatever else is reached through them is a part of its own. Counters are not put back.
 
     Attributes:
-        failed: whether an error befell since `remember` was called last.
+        failed: whether an error occurred since the last call of `remember`.
         traceback: of the newest error that was not logged yet; empty if there was none.
     """
 

@@ -45,7 +45,7 @@ _HOME_SHARE = 0.1
 """Share of the largest increment with which a robot is brought home."""
 
 
-def may_befall(fault: Fault) -> bool:
+def applies_live(fault: Fault) -> bool:
     """Whether a live cell under test can suffer it: as it is, without a relay, a recorder or other clocks."""
     needs = Needs.of(fault)
     own = fault.action in (Kill(Process.CONTROLLER), Freeze(Process.CONTROLLER), ReadNothing())
@@ -143,16 +143,16 @@ class LiveCell(Observed):
             ScheduleError: one cannot be had here, would have had to begin before now, or two change the same part.
         """
         for timed in faults:
-            if not may_befall(timed.what):
+            if not applies_live(timed.what):
                 raise ScheduleError(
-                    f"{timed.what.name} cannot befall a live cell under test; take virtual_cell, or a fault of hli, "
-                    "sim, robot-server or the KRC"
+                    f"{timed.what.name} cannot be injected into a live cell under test; take virtual_cell, or a fault "
+                    "of hli, sim, robot-server or the KRC"
                 )
         checked(faults, self.time_s)
         self._waiting = checked((*self._standing, *self._waiting, *faults))[len(self._standing) :]
 
     def run(self, duration_s: float) -> None:
-        """Wait for so long, while faults befall the cell; then read what was recorded."""
+        """Wait for so long while the scheduled faults are injected; then read the recording."""
         end_s = self.time_s + duration_s
         while (now_s := self.time_s) < end_s:
             for timed in [one for one in self._standing if one.end_s <= now_s]:

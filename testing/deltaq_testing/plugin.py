@@ -1,4 +1,4 @@
-"""The plug-in of pytest: fixtures of cells for the controller that is tested, and what befell them when a test fails.
+"""The plug-in of pytest: fixtures of cells for the tested controller; a failure lists the faults of the run.
 
 pytest loads it in every run where deltaq is installed, so nothing heavy is imported before a fixture asks for it.
 """
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 
 MARKER = "deltaq(cell='lab', robot=None, seed=0): cell, robot under test and seed of the fixture virtual_cell"
-_SECTION = "what befell the cell"
+_SECTION = "faults in this run"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -108,7 +108,7 @@ def live_cell(
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Add to a failure what befell the cell, and with which seed."""
+    """Add the faults of the run and its seed to a failure."""
     report = yield
     cell = getattr(item, "funcargs", {}).get("virtual_cell")
     if call.when == "call" and report.failed and cell is not None:

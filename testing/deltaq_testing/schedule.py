@@ -1,4 +1,4 @@
-"""When which fault befalls the controller that is tested."""
+"""Schedules of faults for a tested controller."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ FOR_S = 0.5
 
 
 class ScheduleError(DeltaqError):
-    """A fault cannot befall a controller in this way or at this time."""
+    """A schedule has a fault that cannot be injected in this way or at this time."""
 
 
 @dataclass(frozen=True)
 class TimedFault:
-    """A fault, and when it befalls.
+    """A fault with its begin and its duration.
 
     Attributes:
         what: a row of the catalogue.
@@ -124,7 +124,7 @@ def checked(faults: Sequence[TimedFault], now_s: float = 0.0) -> tuple[TimedFaul
     """The same in the order of their times.
 
     Args:
-        faults: that shall befall.
+        faults: to inject.
         now_s: what the time is already [s].
 
     Raises:

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict
 from deltaq_deploy.launch.cell_connection import connect
 from deltaq_protocol.errors import DeltaqError
 from deltaq_testing.faults.catalogue import CATALOGUE
-from deltaq_testing.live import CLIENT, LiveCell, may_befall
+from deltaq_testing.live import CLIENT, LiveCell, applies_live
 from deltaq_testing.live_start import live_cell
 from deltaq_testing.schedule import TimedFault
 
@@ -122,7 +122,7 @@ def run_soak(
 
 
 def _round(live: LiveCell, report: SoakReport, draw: random.Random, began_s: float) -> SoakRound:
-    fault = draw.choice([row for row in CATALOGUE if may_befall(row)])
+    fault = draw.choice([row for row in CATALOGUE if applies_live(row)])
     timed = TimedFault(fault, round(draw.uniform(1.0, ROUND_S / 2), 3), round(draw.uniform(0.2, 1.5), 3))
     live.begin()
     time_s = time.monotonic() - began_s

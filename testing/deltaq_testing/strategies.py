@@ -27,7 +27,7 @@ def schedules(
 
     Args:
         within_s: by when every fault has ended [s].
-        names: faults that may befall; None for all that can be had in virtual time.
+        names: faults to draw from; None for all that virtual time has.
         most: faults of a schedule.
         longest_s: how long one stands at most [s].
 

@@ -190,7 +190,7 @@ class CellUnderTest(Observed):
             raise CellUseError(f"nobody drives {self.robot}: call drive(controller) before run")
         end_s = self.time_s + duration_s - self.cycle_s / 2
         while self.time_s < end_s:
-            self._befall(self._injector)
+            self._inject_due(self._injector)
             self._cycle()
 
     def recover(self) -> bool:
@@ -222,7 +222,7 @@ class CellUnderTest(Observed):
                 break
         self.ready_row = len(self._own.q) - 1
 
-    def _befall(self, injector: VirtualInjector) -> None:
+    def _inject_due(self, injector: VirtualInjector) -> None:
         now_s = self.time_s + _ROUNDING_S
         for timed in [one for one in self._standing if one.end_s <= now_s]:
             self._standing.remove(timed)

@@ -56,7 +56,6 @@ NOT_RUN = {
         *["tests/clients/test_printed_programs.py runs it"] * 2,
     ],
     "ask-the-advisor.md": ["what the command above prints, in fewer columns"],
-    "console.md": ["needs Chromium"],
     "observe.md": ["needs Prometheus", "needs Prometheus", "a line of a log; tests/protocol/test_log.py"],
     "containers.md": [
         "needs a container engine; tests/deploy/launch/test_containers.py",
@@ -109,6 +108,7 @@ NOT_RUN = {
 
 _TESTING = ("hypothesis", "iniconfig", "packaging", "pluggy", "Pygments", "pytest", "sortedcontainers")
 INSTALLED_BESIDE = {
+    "help.md": _TESTING,
     "bring-your-own-robot.md": ("example-robot-data",),
     "lead-by-another-robot.md": ("example-robot-data",),
     "find-the-bug.md": _TESTING,

@@ -82,7 +82,7 @@ def test_a_motion_that_the_gate_keeps_in_its_place_names_what_keeps_it() -> None
     for cycle in range(round(0.5 / CYCLE_S) + 1):
         motion.increment(cycle, start)
     with pytest.raises(
-        MotionError, match=r"^clearance: fr stands 100% .* fr/hand gr/hand 0\.0499 \(bound 0\.05\)"
+        MotionError, match=r"^clearance: fr stands 100% .* fr/hand gr/hand 0\.0499 m \(bound 0\.05 m\)"
     ) as e:
         motion.increment(round(0.5 / CYCLE_S) + 1, start)
     assert (e.value.code, e.value.value, e.value.bound) == ("clearance", 0.0499, 0.05)

@@ -208,7 +208,7 @@ def test_a_krc_that_cannot_suffer_a_fault_any_more_is_noted_and_the_run_goes_on(
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("row", VIRTUAL, ids=lambda row: row.name)
-def test_every_fault_can_befall_a_controller_and_passes_no_limit(lab, row):
+def test_every_fault_can_be_injected_and_breaks_no_limit(lab, row):
     cell = run(lab, ClosedRamp, fault(row.name, at_s=0.5, for_s=1.0), duration_s=2.5)
     assert cell.recover()
     cell.run(2.0)

@@ -106,9 +106,9 @@ def test_a_line_that_never_ends_does_not_fill_the_memory():
 
 
 def test_a_stream_that_should_lose_something_is_refused():
-    with pytest.raises(InvalidFaultError, match="loss cannot befall bytes, only lines"):
+    with pytest.raises(InvalidFaultError, match="loss does not apply to bytes, only to lines"):
         wire_faults(TrafficUnit.BYTES, {"drop": 0.1})
-    with pytest.raises(InvalidFaultError, match="a stall cannot befall lines, only bytes"):
+    with pytest.raises(InvalidFaultError, match="a stall does not apply to lines, only to bytes"):
         wire_faults(TrafficUnit.LINES, {"stalled": True})
 
 

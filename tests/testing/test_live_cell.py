@@ -69,6 +69,8 @@ def test_a_session_has_one_live_cell_which_is_made_ready_again_between_tests(pyt
 
 
 @pytest.mark.parametrize("name", ["link_cut", "hli_clock_forward", "controller_dead", "controller_leap"])
-def test_what_cannot_befall_a_live_cell_is_refused(name):
-    with pytest.raises(ScheduleError, match="cannot befall a live cell under test; take virtual_cell"):
+def test_a_fault_that_needs_virtual_time_is_refused_live(name):
+    with pytest.raises(
+        ScheduleError, match="cannot be injected into a live cell under test; take virtual_cell"
+    ):
         LiveCell.suffer(object.__new__(LiveCell), fault(name, at_s=1.0))

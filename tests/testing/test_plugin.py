@@ -31,7 +31,7 @@ def run(pytester):
 
 
 @pytest.mark.long
-def test_a_controller_that_keeps_its_goal_passes_and_one_that_does_not_fails_with_what_befell_it(run):
+def test_a_controller_that_keeps_its_goal_passes_and_one_that_does_not_fails_with_a_list_of_the_faults(run):
     result = run(
         """
 def test_good(virtual_cell):
@@ -53,7 +53,7 @@ def test_planted_bug(virtual_cell):
     result.stdout.fnmatch_lines(
         [
             "*where <no: a1 is 0.0* off; at most 0.01 were allowed> = ended_at*",
-            "*what befell the cell*",
+            "*faults in this run*",
             "cell lab, robot fr, seed 0, 1.200 s",
             "*0.204 s  controller-hli-cut begins: the wire controller-hli carries nothing",
             "*0.300 s  controller-hli-cut ends",

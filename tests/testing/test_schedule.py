@@ -23,7 +23,7 @@ def test_a_fault_that_is_not_there_is_answered_with_those_that_are():
         ("recorder_dead", {"at_s": 1}, r"recorder-dead does not exist in virtual time"),
     ],
 )
-def test_what_cannot_befall_is_refused_with_the_value_and_its_bound(name, times, told):
+def test_an_impossible_fault_is_refused_with_value_and_bound(name, times, told):
     with pytest.raises(ScheduleError, match=told):
         fault(name, **times)
 

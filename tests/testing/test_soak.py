@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from deltaq_deploy.command.app import app
 from deltaq_protocol.errors import DeltaqError
 from deltaq_testing.faults.catalogue import CATALOGUE
-from deltaq_testing.live import may_befall
+from deltaq_testing.live import applies_live
 from deltaq_testing.soak import SoakReport, SoakRound
 
 COMMAND = "from deltaq_deploy.command import main; main()"
@@ -78,8 +78,8 @@ def test_a_soak_is_good_if_every_round_was_and_there_was_one() -> None:
     assert not of()
 
 
-def test_faults_of_the_processes_and_of_the_krc_may_befall_and_those_that_need_more_may_not() -> None:
-    names = {row.name for row in CATALOGUE if may_befall(row)}
+def test_a_soak_draws_only_faults_that_apply_to_a_running_cell() -> None:
+    names = {row.name for row in CATALOGUE if applies_live(row)}
     assert {
         "operator-stop",
         "hli-dead",

@@ -12,7 +12,7 @@ WITHOUT_DATABASE = settings(database=None, max_examples=1000, derandomize=True)
 
 
 @given(schedules(within_s=2.0, most=5, longest_s=0.5))
-def test_whatever_is_drawn_can_befall_a_cell_and_ends_in_time(faults):
+def test_drawn_faults_can_be_injected_and_end_in_time(faults):
     assert checked(faults) == faults
     assert all(
         timed.at_s >= 0 and timed.end_s <= 2.0 + 1e-9 and timed.for_s <= 0.5 + 1e-9 for timed in faults

@@ -48,7 +48,7 @@ def _tell_what_is_missing(error: ModuleNotFoundError) -> NoReturn:
     extra = "testing" if package in ("hypothesis", "pytest") else "all"
     print(
         f"deltaq: {package} is not installed, and this command needs it: pip install 'deltaq[{extra}]'\n"
-        "deltaq: controllers do without: what they import is deltaq_protocol, and it is complete",
+        "deltaq: `import deltaq` works without it",
         file=sys.stderr,
     )
     sys.exit(USAGE)

@@ -61,7 +61,12 @@ def demo(
     if with_console and console_is_installed():
         services = (*services, console_service(description, cell, services))
     output = console(sys.stderr)
-    log = prefixed_log(output, [service.name for service in services])
+    shown = prefixed_log(output, [service.name for service in services])
+
+    def log(name: str, line: str) -> None:
+        if verbose or not line.startswith("{"):  # figures of a controller that has ended
+            shown(name, line)
+
     launcher = Launcher(services, log, partial(bring_to_rest, description, "deltaq demo"))
     with shown_compiled_ahead(needed_by(services, description, cell)), launcher:
         launcher.say(f"starting {len(services)} services")

@@ -121,9 +121,12 @@ def status(
             "3 no answer.",
         ),
     ] = None,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", help="Also print the counters of all services, and the drives' lag.")
+    ] = False,
     json: JsonOption = False,
 ) -> None:
-    """Show a running cell: phases, leases, age of data, what the gate decided, the nearest pair.
+    """Show a running cell: phases, leases, age of data, lagging services, the nearest pair.
 
     With --watch and --json it prints one object a line.
     """
@@ -137,7 +140,7 @@ def status(
         return
     with connect(Where.of(cell, url), "deltaq status") as running:
         if watch:
-            _watch(running, interval_s, count, json)
+            _watch(running, interval_s, count, verbose, json)
             return
         answer, description = running.status(), running.description
     if json:
@@ -146,10 +149,10 @@ def status(
         target = console()
         if not target.is_terminal:
             target.width = PIPE_WIDTH
-        target.print(shown(answer, description))
+        target.print(shown(answer, description, verbose))
 
 
-def _watch(running: BlockingCell, interval_s: float, count: int, json: bool) -> None:
+def _watch(running: BlockingCell, interval_s: float, count: int, verbose: bool, json: bool) -> None:
     """Show the status of a cell again and again, until Ctrl-C or as often as is asked."""
     import time
 
@@ -164,7 +167,7 @@ def _watch(running: BlockingCell, interval_s: float, count: int, json: bool) -> 
             if live is None:
                 print_json(answer.model_dump(mode="json"))
             else:
-                live.update(shown(answer, running.description), refresh=True)
+                live.update(shown(answer, running.description, verbose), refresh=True)
             if look == count:
                 return
             time.sleep(interval_s)
@@ -192,8 +195,8 @@ def _health(service: str, cell: str, json: bool) -> None:
         raise typer.Exit(BAD)
 
 
-def shown(answer: Status, cell: Description) -> Group:
-    """A status for people."""
+def shown(answer: Status, cell: Description, verbose: bool) -> Group:
+    """A status for people; `verbose` adds counters and the drives' lag."""
     from rich.console import Group
     from rich.text import Text
 
@@ -206,13 +209,14 @@ def shown(answer: Status, cell: Description) -> Group:
         age = None if robot.state_age_s is None else f"{robot.state_age_s * 1000:.0f} ms"
         rows.append((name, robot.phase, robot.reason, robot.cycle, age, robot.lease.holder, q))
     columns = ("robot", "phase", "reason", "cycle", "age", "leased by", "joints")
-    gate_age = "silent" if answer.gate_age_s is None else f"{answer.gate_age_s:.1f} s ago"
-    lines = [f"gate ({gate_age}): {counts(answer.gate)}", f"hli: {counts(answer.hli)}"]
-    lines += [f"{name}: {counts(robot.counters)}" for name, robot in answer.robots.items()]
-    for name, robot in answer.robots.items():
+    lines = ["the gate is silent"] if answer.gate_age_s is None else []
+    if verbose:
+        lines += [f"gate: {counts(answer.gate)}", f"hli: {counts(answer.hli)}"]
+    for name, robot in answer.robots.items() if verbose else ():
+        lines.append(f"{name}: {counts(robot.counters)}")
         if robot.lag_s:
             lags = ("-" if lag_s is None else f"{lag_s * 1e3:.0f}" for lag_s in robot.lag_s)
-            lines.append(f"{name}: the axes lag {' '.join(lags)} ms")
+            lines.append(f"{name}: lag of the drives, by axis: {' '.join(lags)} ms")
     if answer.contacts:
         lines.append(f"contacts allowed: {', '.join(answer.contacts)}")
     lines += [f"another cell: {said}" for said in answer.mismatches]

@@ -84,6 +84,7 @@ class Hli:
         )
         self._audit_file = audit_file
         self._unproven = 0
+        self._ended = False
         self._lock = threading.RLock()
         self.authentication = Authentication(self.core.leases, self.roles, secrets.token_hex(32), identities)
         self.loop: asyncio.AbstractEventLoop
@@ -119,6 +120,8 @@ class Hli:
     async def __aexit__(self, *_: object) -> None:
         self._next_tick.cancel()
         await self._tcp.close()
+        with self._lock:  # the threads of a front may still decide while the other front closes
+            self._ended = True
         self._open.close()
         self._tell_of_unproven()
         self._audit.close()
@@ -146,6 +149,8 @@ class Hli:
         Any thread may call this.
         """
         with self._lock:
+            if self._ended:
+                return
             for output in self.core.contained(decide, self.now(), robots, sender, asked):
                 try:
                     self._send(output)

@@ -142,7 +142,7 @@ class Sim:
         return outputs + [self._refuse(each, Reason(code=ReasonCode.INTERNAL_ERROR)) for each in refused]
 
     def hold_all(self) -> None:
-        """Order all robots to stop: an error befell what sends the orders."""
+        """Order all robots to stop: the code that sends the orders has failed."""
         self.counters["internal_errors"] += 1
         for robot in self.robots.values():
             robot.orders.stop(ReasonCode.INTERNAL_ERROR)

@@ -90,7 +90,7 @@ _FULL_S = 30.0
 
 
 class Injector:
-    """Lets faults befall a running cell.
+    """Injects faults into a running cell.
 
     Args:
         running: the cell.

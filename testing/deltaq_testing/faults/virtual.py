@@ -61,7 +61,7 @@ class ErringClient(VirtualClient, Protocol):
 
 
 class VirtualInjector:
-    """Lets faults befall one robot, its controller, and what they share with the others, whose wires are well.
+    """Injects faults into one robot, its controller and the shared services; the wires of other robots stay intact.
 
     Args:
         stack: the cell.

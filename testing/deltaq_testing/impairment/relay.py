@@ -158,7 +158,7 @@ class TrafficUnit(StrEnum):
 
     @property
     def faults(self) -> type[StreamFaults] | type[LinkFaults]:
-        """What can befall it."""
+        """Kinds of impairment that apply to it."""
         return StreamFaults if self is TrafficUnit.BYTES else LinkFaults
 
 
@@ -196,14 +196,14 @@ def wire_faults(unit: TrafficUnit, asked: Mapping[str, Any]) -> StreamFaults | L
     """The faults of a link, from the fields of `StreamFaults` or `LinkFaults`.
 
     Raises:
-        InvalidFaultError: if it cannot befall this unit.
+        InvalidFaultError: if it does not apply to this unit.
     """
     allowed = unit.faults.model_fields
     for name in asked:
         if name not in allowed:
             able = ", ".join(other for other in TrafficUnit if name in other.faults.model_fields)
             word = _WORDS.get(name, name)
-            raise InvalidFaultError(f"{word} cannot befall {unit}, only {able}; name another unit")
+            raise InvalidFaultError(f"{word} does not apply to {unit}, only to {able}; name another unit")
     try:
         return unit.faults.model_validate(asked)
     except ValidationError as error:

@@ -47,9 +47,7 @@ def _parts(outcome: ScenarioOutcome, number: int) -> list[str]:
         table(("", "expected", "found"), checks),
         f'<figure class="wide">{_figure(cell, number)}<figcaption>Joints of {escape(cell.robot)} from home, in degrees '
         "and centimetres. Shaded: a fault stands; darker: the robot is held.</figcaption></figure>",
-        table(("time [s]", "what happened"), events, numbers={0})
-        if events
-        else "<p>Nothing befell the cell.</p>",
+        table(("time [s]", "what happened"), events, numbers={0}) if events else "<p>Nothing happened.</p>",
         f"<details><summary>The scenario</summary><pre><code>{escape(dumped(outcome.scenario))}</code></pre></details>",
     ]
 

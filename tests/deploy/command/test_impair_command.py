@@ -25,10 +25,14 @@ def command(*options: str) -> list[str]:
 @pytest.mark.parametrize(
     ("options", "status", "told"),
     [
-        (("--loss-share", "0.2"), 2, "loss cannot befall bytes, only lines, messages, datagrams"),
+        (("--loss-share", "0.2"), 2, "loss does not apply to bytes, only to lines, messages, datagrams"),
         (("--unit", "packets"), 2, "no unit 'packets'; there are bytes, lines, messages, datagrams"),
         (("--loss-share", "1.2"), 2, "--loss-share"),
-        (("--jitter-s", "0.1", "--keep-order"), 2, "kept order cannot befall bytes, only lines, messages"),
+        (
+            ("--jitter-s", "0.1", "--keep-order"),
+            2,
+            "kept order does not apply to bytes, only to lines, messages",
+        ),
         (("--unit", "lines", "--keep-order"), 2, "without --jitter-s none overtakes another"),
         (("--listen", "tcp/192.0.2.1:9"), 3, "cannot listen on tcp/192.0.2.1:9"),
     ],
