@@ -70,8 +70,8 @@ CLAIMS = (
     Claim(
         "approach",
         Options(controller="qp"),
-        "monotone; below 1° in 0.6 s",
-        _reached_in(0.6),
+        "monotone; below 1° in 1 s",
+        _reached_in(1.0),
         _APPROACH,
         "fig-8-qp",
     ),
