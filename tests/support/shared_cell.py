@@ -19,9 +19,10 @@ from live_stack import TIMEOUT_S, Stack, live_stack, mover
 
 from deltaq_deploy.launch.cell_connection import connect
 from deltaq_deploy.launch.services import console_service
+from deltaq_emulator.states import KrcState
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Phase
-from deltaq_testing.faults.panel import PanelClient, recovery
+from deltaq_testing.faults.panel import PanelClient, PanelError, recovery
 
 APPROACH, OF_FASTEST = 0.2, 0.2
 """Share of what is missing to home that is asked for in a cycle, and of the largest increment."""
@@ -90,6 +91,9 @@ class SharedStack(Stack):
                 requests = recovery(panel.ask({"op": "status"})["state"])
                 for request in requests:
                     panel.ask(request)
+                if requests:  # asked again before it runs, it would begin to start anew
+                    with suppress(PanelError):
+                        panel.ask({"op": "await", "state": KrcState.RSI_RUNNING, "within_s": 3.0})
         with suppress(ServiceUnreachableError), connect(self.cell, "test") as running:
             robots = running.status().robots.values()
             return all(robot.phase is Phase.READY and robot.lease.holder is None for robot in robots)
