@@ -327,7 +327,9 @@ def test_a_pipe_that_nobody_reads_keeps_nobody_waiting(tmp_path: Path) -> None:
     assert 3000 - 64 * 1024 // 100 - 1 <= file.lost < 3000
 
 
-def test_a_folder_that_went_loses_lines_until_it_is_back(tmp_path: Path) -> None:
+def test_a_folder_that_went_loses_lines_until_it_is_back_and_the_log_says_so_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     folder = tmp_path / "state"
     folder.mkdir()
     path = folder / "audit.jsonl"
@@ -335,13 +337,18 @@ def test_a_folder_that_went_loses_lines_until_it_is_back(tmp_path: Path) -> None
     path.unlink()
     folder.rmdir()
     file.write(line(1))
-    while not file.lost:
+    file.write(line(2))
+    while file.lost < 2:
         pass
     assert "No such file" in file.fault
     folder.mkdir()
-    file.write(line(2))
+    file.write(line(3))
     file.close()
-    assert (path.read_bytes(), file.lost, file.fault) == (line(2), 1, "")
+    assert (path.read_bytes(), file.lost, file.fault) == (line(3), 2, "")
+    assert caplog.messages == [
+        f"the audit log {path} loses lines: No such file or directory",
+        f"the audit log {path} is written again; it lost 2 lines",
+    ]
 
 
 @pytest.mark.parametrize("torn", [b'{"numb', b'{"number":0001}', b'{"number":0001}\n{"nu'])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import logging
 import os
 import queue
 import stat
@@ -29,6 +30,8 @@ from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.commands import Deed
 from deltaq_services.outputs import ClientOrigin
 from deltaq_services.rate_limit import Pace, RateLimit
+
+_log = logging.getLogger(__name__)
 
 # Equal deeds are one entry with a count, so that a flood of them fills no disk. Plain decisions.
 #
@@ -253,16 +256,24 @@ class AuditFile:
                 continue
             if line is None:
                 break
-            try:
-                self._append(line)
-                self._why = ""
-            except OSError as error:
-                self._failed += 1
-                self._why = error.strerror or str(error)
+            self._try(line)
             if sync_s is None:
                 sync_s = time.monotonic() + _SYNC_PERIOD_S
         self._sync()
         self._forget()
+
+    def _try(self, line: bytes) -> None:
+        try:
+            self._append(line)
+        except OSError as error:
+            self._failed += 1
+            if not self._why:
+                _log.error("the audit log %s loses lines: %s", self._path, error.strerror or error)
+            self._why = error.strerror or str(error)
+            return
+        if self._why:
+            _log.warning("the audit log %s is written again; it lost %d lines", self._path, self.lost)
+        self._why = ""
 
     def _append(self, line: bytes) -> None:
         descriptor = self._current()
