@@ -40,7 +40,7 @@ class Drives:
 
     @property
     def at_rest(self) -> bool:
-        """The setpoint stands still, and the robot has reached it."""
+        """Whether the setpoint is constant and the robot has reached it."""
         return not self._step.any() and bool((np.abs(self.q - self.setpoint) < REST_TOLERANCE).all())
 
     def advance(self) -> Array:
@@ -55,7 +55,7 @@ class Drives:
         self.setpoint = setpoint
 
     def stand(self) -> None:
-        """Keep the setpoint, whatever it did before."""
+        """Keep the setpoint where it is."""
         self._step = np.zeros_like(self._step)
 
     def brake(self) -> None:

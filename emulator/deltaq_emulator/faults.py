@@ -41,7 +41,7 @@ class LinkFaults(BaseModel):
 
 
 class Forgery(BaseModel):
-    """A telegram that somebody else sends to the PC right after the controller's own, from another socket.
+    """A forged telegram, sent to the PC right after the controller's own, from another socket.
 
     With nothing but an address it is the same telegram from a second sender; with a shift of the IPOC it is a second
     controller, or the beginning of a new session.
@@ -121,7 +121,7 @@ class FaultyLink:
 
     @property
     def next_s(self) -> float | None:
-        """When the next datagram leaves, or None if there is none."""
+        """Time at which the next datagram leaves [s], or None if none waits."""
         return self._queue[0][0] if self._queue else None
 
     def _enqueue(self, due_s: float, datagram: bytes) -> None:

@@ -1,7 +1,7 @@
 """The core of the emulated controller: cycles and datagrams in, telegrams out; no clock, no sockets.
 
 One cycle: `tick` begins it, judges the replies to the last telegram, moves the robot by one cycle and
-returns the telegram to send; `receive` takes whatever comes until the next `tick`.
+returns the telegram to send; `receive` takes the datagrams that come until the next `tick`.
 """
 
 from __future__ import annotations
@@ -336,7 +336,7 @@ class Krc:
         self._corrections.turn(correction)
 
     def forged(self, forgery: Forgery) -> bytes:
-        """The telegram of a sender who knows this cycle's telegram."""
+        """A forged telegram, made from this cycle's telegram."""
         report = self._report()
         shift = math.radians(forgery.offset_deg)
         return self._codec.encode(

@@ -139,9 +139,9 @@ class Panel:
         """Forged telegrams that follow each telegram to the PC."""
 
     def take(self, datagram: bytes, answer: Callable[[bytes], None]) -> None:
-        """Do what a request says; whatever it is, `answer` is called once and nothing raised.
+        """Carry out a request; `answer` is called exactly once, and no error is raised.
 
-        An awaited state may come later: then `cycle_passed` answers it.
+        If the request awaits a state, `cycle_passed` may answer it later.
         """
         try:
             if len(datagram) > MAX_REQUEST_BYTES:

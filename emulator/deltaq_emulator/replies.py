@@ -1,4 +1,4 @@
-"""Judging replies: which one answers the telegram of this cycle, and what is wrong with the others."""
+"""Judges replies: finds the one that answers this cycle's telegram, and names the fault of each other one."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Reply(StrEnum):
     MISSING = "missing"
     """No datagram came in a cycle."""
     UNANSWERED = "unanswered"
-    """A cycle without a valid reply, whatever the reason; the element Delay counts these."""
+    """A cycle without a valid reply; the element Delay counts these."""
     EXCUSED = "excused"
     """Such a cycle in which the machine held up the controller itself: not the PC's fault."""
 

@@ -17,7 +17,7 @@ from deltaq_emulator.catalogue import Code, KrcMessage
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.rsi.axes import KrcGeneration
 
-# How many cycles without a valid reply a controller permits, by the rule of its generation.
+# Number of cycles without a valid reply that a controller permits, by the rule of its generation.
 #
 # | rule | what counts | exceeded when |
 # | --- | --- | --- |

@@ -1,6 +1,7 @@
 """The emulated controller as a process: one loop, one thread, sockets and time.
 
-The loop keeps absolute deadlines: it sends in every cycle, whatever came back, as a real controller does. If the
+The loop keeps absolute deadlines: it sends in every cycle, with or without replies, as a real controller does. If
+    the
 machine holds it up for longer than a cycle, the emulated time stands still instead of catching up in a burst, and
 the slip is counted. A reply that is missing in a cycle that this process itself began late does not count against
 the PC.
@@ -22,14 +23,14 @@ from deltaq_protocol.endpoint import Address
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.heartbeat import Heartbeat
 
-# Others on the network who send to the PC what only the controller should, from sockets of their own.
+# Other senders on the network, whose forged telegrams reach the PC from their own sockets.
 
 MAX_SOCKETS = 16
 """Largest number of sender addresses; further ones are not opened."""
 
 
 class Strangers:
-    """Sends forged telegrams, one socket an address; what comes back to them is never read.
+    """Sends forged telegrams, one socket an address; replies to them are not read.
 
     Args:
         server: host and port of the PC.
@@ -207,7 +208,7 @@ class Emulator:
             except BlockingIOError:
                 return
             except OSError:
-                # nobody listens there (yet); the telegram is lost, as on any network
+                # no PC listens there (yet); the telegram is lost, as on any network
                 self.counts["send_errors"] += 1
 
     def _send(self, now: float) -> None:

@@ -52,12 +52,12 @@ class InvalidMotionError(DeltaqError, ValueError):
 
 
 class MotionError(RefusedError):
-    """A motion that was limited, held or refused on its way.
+    """A motion or increment was limited, held or refused.
 
     Attributes:
         code: the reason, one of `deltaq_protocol.reasons.ReasonCode`.
-        what: the joint or the pair of bodies that it is about.
-        value: what was asked for [rad, m or their rates], where the reason has one.
+        what: the joint or the pair of bodies that the reason names.
+        value: the requested value [rad, m or their rates]; None if the reason has none.
         bound: what is allowed, in the unit of `value`.
     """
 

@@ -56,7 +56,7 @@ class Tool:
         return jacobian
 
     def line(self, robot: str, start: Array, way: Array) -> Array:
-        """The path (m + 1, n) on which the tool goes by `way` (3,) from where it is at `start` (n,), and does not turn.
+        """Joint path (m + 1, n) that moves the tool straight by `way` (3,) from `start` (n,) without turning it.
 
         Args:
             robot: name of the robot, for errors.
@@ -64,7 +64,7 @@ class Tool:
             way: (3,) displacement in the world [m].
 
         Raises:
-            ValueError: the tool cannot go there; the message says how far it can, and which joint keeps it.
+            ValueError: the tool cannot go there; the message says how far it can, and which joint limits it.
         """
         length = float(np.linalg.norm(way))
         segments = min(_MOST, max(_FEWEST, math.ceil(length / _SEGMENT_M)))

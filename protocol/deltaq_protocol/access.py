@@ -1,8 +1,8 @@
-"""Access to a session, from the table of topics: who may say what, and who is answered.
+"""Access control of zenoh sessions, from the table of topics: who may publish, ask and answer.
 
-A zenoh session hands on between its clients whatever it is not told to keep: without these rules one client could read
-another's increments with their lease, publish states, and answer a stop in the server's stead. All that the table does
-not name is denied; anybody may listen, and gets what the table lets the session say.
+By default a zenoh session forwards every message between its clients. Without these rules a client could read
+another client's increments with their lease, publish states, and answer a stop in place of the server. Whatever the
+table does not name is denied. Any client may subscribe; it receives what the table allows the session to send.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ def access(
     robot: str = "*",
     speakers: Mapping[str, Sequence[str]] | None = None,
 ) -> dict[str, Any]:
-    """The access control of one party's session in one realm, as zenoh's configuration has it.
+    """Access control of one party's session in one realm, in the form of zenoh's configuration.
 
     Args:
         party: the party whose session it is.
         realm: the realm of the session.
         cell: name of the cell.
-        robot: the only one that it is concerned with; `*`: all.
-        speakers: over TLS, the keys that each is heard under, by the name that its certificate proves; None: everybody
-            is heard under all that the party reads.
+        robot: the only robot that the session serves; `*`: all.
+        speakers: over TLS, the keys under which each peer may send, by the name in its certificate; None: every peer
+            may send under every key that the party reads.
     """
 
     def keys(kind: Kind, cell: str, *, published: bool) -> list[str]:

@@ -13,11 +13,11 @@ from deltaq_protocol.reasons import ReasonCode
 LONGEST_NAME = 64
 LONGEST_ADDRESS = 80
 LONGEST_TEXT = 300
-"""Characters that an entry keeps of what strangers may have written."""
+"""Greatest length of text from a client in an entry; longer text is cut."""
 
 
 class AuditKind(StrEnum):
-    """The kind of deed, done or attempted."""
+    """The kind of action, done or attempted."""
 
     CONNECTED = "connected"
     DISCONNECTED = "disconnected"
@@ -38,9 +38,9 @@ class AuditKind(StrEnum):
 
 
 class AuditOutcome(StrEnum):
-    """How it ended.
+    """Result of an action.
 
-    `asked`: the gate was asked. `done`: the deed was carried out. `unconfirmed`: whether it was is not known.
+    `asked`: the gate was asked. `done`: it was carried out. `unconfirmed`: it is not known whether it was.
     """
 
     ASKED = "asked"
@@ -55,7 +55,7 @@ class AuditEntry(Message):
     `time_utc` is the wall clock's time in ISO 8601, `time_s` the HLI's monotonic time [s]. `client` is the name that
     the client gives itself, `identity` the name that its certificate proved (`operator-NAME`, `controller-NAME`).
     `address` is HOST:PORT of a TCP connection, or `zenoh`, which does not show addresses. `role` is the role that was
-    proved (`observer`, `controller`, `operator`); empty if none was required. `text` is what the client was told.
+    proved (`observer`, `controller`, `operator`); empty if none was required. `text` is the answer to the client.
     `count` is the number of equal entries that this one stands for; client, address and text are then those of the
     newest.
     """

@@ -5,9 +5,9 @@
             for state in robot.states():
                 verdict = robot.move(dq)  # (n,) [rad or m] for one cycle; what was admitted comes back
 
-The event loop runs in a separate thread, so the lease is renewed while the script computes. A controller that is slower
-than a cycle, or farther away, does not wait, nor does any in a cell with a lookahead: it calls `robot.send(dq)` and
-reads `robot.new_verdicts()`; `deltaq_protocol.in_flight` says what is on its way.
+The event loop runs in a separate thread, so the lease is renewed while the script computes. If the controller or its
+round trip takes longer than a cycle, or the cell has a lookahead, do not wait for verdicts: call `robot.send(dq)`
+and read `robot.new_verdicts()`; `deltaq_protocol.in_flight` keeps account of increments in flight.
 
 In a notebook, `cell = connect().open()` and `robot = cell.lease("fr").open()` last until `robot.close()` and
 `cell.close()`, or until the interpreter ends.
@@ -205,11 +205,11 @@ class BlockingRobot:
         return self._robot.send_now(dq, cycle)
 
     def new_verdicts(self) -> list[Verdict]:
-        """The verdicts on what was sent with `send` that have come; see `LeasedRobot.new_verdicts`."""
+        """The verdicts that have come on increments sent with `send`; see `LeasedRobot.new_verdicts`."""
         return self._robot.new_verdicts_now(self._renew)
 
     def verdicts(self) -> Iterator[Verdict]:
-        """The verdicts on what was sent with `send`; see `LeasedRobot.verdicts`."""
+        """A stream of verdicts on increments sent with `send`; see `LeasedRobot.verdicts`."""
         return self._background.iterate(self._robot.verdicts())
 
     def _renew(self) -> None:

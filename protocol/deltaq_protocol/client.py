@@ -5,12 +5,13 @@
             async for state in robot.states():
                 verdict = await robot.move(dq)  # (n,) [rad or m] for one cycle; what was admitted comes back
 
-However a block is left, nothing more is sent: the robot brakes to rest along a path that the gate has
-certified. In a notebook, `await connect(...).open()` and `await cell.close()` do the same; a lease has `open`
+When a block is left, for any reason, nothing more is sent: the robot brakes to rest along a path that the gate has
+    certified. In a notebook, `await connect(...).open()` and `await cell.close()` do the same; a lease has `open`
 and `close`, too.
 
-A controller that is slower than a cycle, or farther away, does not wait, nor does any in a cell with a lookahead: it
-calls `await robot.send(dq)` and reads `robot.new_verdicts()`; `deltaq_protocol.in_flight` says what is on its way.
+If the controller or its round trip takes longer than a cycle, or the cell has a lookahead, do not wait for verdicts:
+    call `await robot.send(dq)` and read `robot.new_verdicts()`; `deltaq_protocol.in_flight` keeps account of
+    increments in flight.
 """
 
 from __future__ import annotations
@@ -84,7 +85,8 @@ async def described(wire: Wire, address: str) -> Description:
     loop = asyncio.get_running_loop()
     give_up_s = loop.time() + _CONNECT_DEADLINE_S
     while (left_s := give_up_s - loop.time()) > 0.0:
-        # it changes nothing, and so may be asked again: the link may not have told yet who is at its other end
+        # the question changes nothing, so it may be repeated: a new link may not yet know the services at its other
+        # end
         with contextlib.suppress(ServiceUnreachableError):
             return _of_our_version(
                 await wire.ask(topics.DESCRIPTION, "*", DescribeRequest(), deadline_s=left_s)
@@ -213,14 +215,14 @@ class Cell:
         focus_m: ArrayLike | None = None,
         targets: Sequence[ViewTarget] | None = None,
     ) -> ViewReply:
-        """Ask the controller that follows with a robot's camera for another view; omitted values do not change.
+        """Ask the camera follower of a robot for another view; omitted values do not change.
 
         Args:
             robot: the robot that carries the camera.
             distance_m: from the lens to the target [m].
             leader: robot whose tool the camera looks at.
             aim_offset_m: (3,) the target in the frame of that tool [m].
-            focus_m: (3,) a target that stands still, in the world [m].
+            focus_m: (3,) a fixed target in the world [m].
             targets: in place of the three above: the camera looks at the first of them that it can see.
 
         Raises:
@@ -265,13 +267,13 @@ class Cell:
         return await self._asking.ask(Status, topics.STATUS, DescribeRequest())
 
     async def ask_whether_there(self) -> None:
-        """Ask the server for anything, after a silence.
+        """Ask the server a harmless question after a silence, to see whether it is there.
 
-        A machine that stalls for longer than a link lives loses it, and with it what it asks before it has found the
-        server again. So a question that was not answered is asked once more.
+        A machine that stalls for longer than the link's lease loses the link and its first question. So an
+        unanswered question is asked once more.
 
         Raises:
-            ServiceUnreachableError: no answer in time to either.
+            ServiceUnreachableError: neither question was answered in time.
         """
         try:
             await self.status()
@@ -306,9 +308,10 @@ class Cell:
         Args:
             robot: name of the robot.
             client: what others see as the holder's name; otherwise the name given to `connect`.
-            take: take the lease from whoever holds it; this is logged.
-            playout: for a controller whose round trip (`round_trip_s`) takes longer than a cycle, and which sends with
-                `send`: its increments wait in the HLI, so that each cycle has one although they come unevenly.
+            take: take the lease from its present holder; this is logged.
+            playout: use a jitter buffer: increments that come unevenly wait in the HLI, so that each cycle has one.
+                For a controller that sends with `send` and whose round trip (`round_trip_s`) takes longer than a
+                cycle.
 
         Raises:
             RefusedError: `lease_taken` by another client, `unknown_robot`, or `not_permitted` to take.
@@ -404,7 +407,7 @@ class HeldLeases:
         wire: to the server.
         description: of the cell.
         asking: asks with the client's role.
-        heard: what the client hears of the robots.
+        heard: the newest states and verdicts of the robots.
     """
 
     def __init__(self, wire: Wire, description: Description, asking: Asking, heard: Subscriptions) -> None:
@@ -450,7 +453,7 @@ class HeldLeases:
         await asyncio.gather(*(leased.release() for leased in self._held))
 
     def release_now(self) -> None:
-        """`release` from where no loop runs any more."""
+        """`release` for a caller without a running event loop."""
         for leased in self._held:
             leased.release_now()
 

@@ -20,7 +20,7 @@ from deltaq_protocol.reasons import ReasonCode
 M = TypeVar("M", bound=Message)
 
 MAX_MESSAGE_BYTES = 64 * 1024
-"""Longest message and longest JSON line; an arm's description goes by query and is not bound by it."""
+"""Longest message and longest JSON line; descriptions are sent as replies to queries and may be longer."""
 MAX_ZENOH_MESSAGE_BYTES = 1024 * 1024
 """Largest message that a session reassembles; descriptions with their URDF texts are the largest."""
 
@@ -93,8 +93,8 @@ def from_map(message_type: type[M], data: object) -> M:
     """Validate a decoded map as a message.
 
     Raises:
-        InvalidMessageError: naming the first field that is wrong, what is allowed, and its value unless that may be
-            a secret.
+        InvalidMessageError: the message names the first wrong field, the allowed values, and its value unless that
+            may be a secret.
     """
     try:
         # encoded data has lists where a message has tuples, and names where it has enumerations
@@ -132,7 +132,7 @@ _LONGEST_NAME = 64
 
 
 def quoted(value: object, field: str, message_type: type[BaseModel]) -> str:
-    """The value given for a field, as far as anybody may read it.
+    """The value of a field as text for an error message, without secrets.
 
     Numbers and text are quoted if the message has that field and its `repr` shows it. Of a value in a field of another
     name, in a map, or in a secret field, only the kind is named.

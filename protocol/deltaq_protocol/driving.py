@@ -1,6 +1,6 @@
 """What an operator commands, and the lines between the console's server and the process that drives a robot.
 
-`OperatorCommand` is the one form of a wish, whichever device it comes from. The lines have one JSON object each:
+`OperatorCommand` is the one form of a command, from any input device. The lines have one JSON object each:
 requests on the driver's standard input, reports and answers on its standard output. A request with an `id` gets one
 `Answer`. The end of the input is a request too: come to rest, release the robot, end.
 """
@@ -20,7 +20,7 @@ WISH_S = 0.25
 """The motion of a command ends after this time unless the next one renews it [s]."""
 
 MOST_WAY_POINTS = 32
-"""Configurations by which a way is told."""
+"""Number of configurations that describe a path."""
 
 Coordinate = Annotated[float, Field(ge=-100.0, le=100.0, allow_inf_nan=False)]
 QuaternionPart = Annotated[float, Field(ge=-2.0, le=2.0, allow_inf_nan=False)]
@@ -221,12 +221,12 @@ class HandsOff(Message):
 
 
 class DriverReport(Message):
-    """How the driver is doing, some times a second while it changes.
+    """The driver's status, sent some times a second while it changes.
 
-    `limit` says what limits the operator now, `doing` what the mode is about, both in words. `goes_through` is the
-    fraction of the wish that mode and gate let through, in tenths; 1 where nothing limits. `search` is there in
-    modes that offer ways. `grip` is the one that was chosen; with an object `hands_off` is there once it is held.
-    `master` leads a hand when commands say so, `master_scale` times its way; it is empty where none was chosen.
+    `limit` names in words what limits the operator now, `doing` what the mode does. `goes_through` is the executed
+    fraction of the command, in tenths; 1 if nothing limits it. `search` is present in modes that offer paths. `grip`
+    is the chosen grip; `hands_off` is present once an object is held. `master` names the robot that leads an end
+    effector, with its displacement times `master_scale`; empty if none was chosen.
     """
 
     type: Literal["report"] = "report"
@@ -252,17 +252,19 @@ class NearPair(Message):
 
 
 class Way(Message):
-    """One way that is offered: an option of the advisor, or the way to a pose.
+    """One offered path: an option of the advisor, or the path to a pose.
 
     `rank` is the number by which it is chosen, and `q` the configuration at its end, (n,) [rad or m]. `points` are
-    configurations on it from its beginning; if no way is known there are none, and `why_not` says why. The advisor
-    ranks by `energy`; `energy_here` is that of the configuration in which it was asked, and `costs` are those of the
-    criteria, 0 good to 1 bad. `near` has the nearest bodies of each kind, `self`, `environment` and `robots`, without
-    pairs whose distance the hands' poses determine. `hands_leave` says that the hands leave their poses on the way and
-    return to them. `clearance_m` is the distance of `pair`, the nearest bodies: at the end of an option, and the least
-    on a way to a pose. `clear` is the fraction of the way that keeps all distances and limits, as a copy of the cell
-    forecasts it while the other robots stand still; `text` says this in words. `first` is the first increment of the
-    way, for the gate's dry run.
+    configurations along the path from its start; if no path is known it is empty, and `why_not` says why. The
+    advisor
+    ranks by `energy`; `energy_here` is the energy of the present configuration, and `costs` are the costs by
+    criterion, from 0 (good) to 1 (bad). `near` has the nearest bodies of each kind, `self`, `environment` and
+    `robots`, without
+    pairs whose distance the hands' poses determine. `hands_leave`: the end effectors leave their poses along the
+    path and return to them. `clearance_m` is the distance of `pair`, the nearest bodies: at the end of an option, or
+    the least along a path to a pose. `clear` is the fraction of the path that keeps all distances and limits in a
+    simulation with the other robots at rest; `text` says this in words. `first` is the first increment of the path,
+    for the gate's dry run.
     """
 
     rank: Annotated[int, Field(ge=1, le=99)]

@@ -2,8 +2,8 @@
 
 `unixsock-stream/PATH` is a Unix socket, of an absolute path.
 
-`tcp+udp/HOST:PORT` is both at one port, for a session over a network that loses packets: what has to arrive goes over
-TCP, and streams over UDP, where nothing waits behind a packet that was lost.
+`tcp+udp/HOST:PORT` is both at one port, for a session over a network that loses packets: messages that must arrive
+use TCP, streams use UDP, where a lost packet delays no other.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
-"""Envelopes of guarded messages: which process sent a message, as which of its messages, and to which process.
+"""Envelopes of guarded messages: the sending process, a serial number, and the addressed process.
 
 An envelope is `checksum (4 bytes) | sender (8) | number (8) | addressee (8)` in front of the message, big-endian. The
 checksum is the CRC-32 of the zenoh key and of all bytes after the checksum. Each process draws a random number; sender
 and addressee are such numbers. A message that only one service reads is addressed to that service's process. A message
 that several services read, such as a state, is addressed to nobody (0). A receiver refuses
 
-- what was sent to another process: a recording of an earlier run addresses processes that have ended,
-- what a process sent whose service another process has taken over, such as one that was frozen and woke up,
-- what it has received before, or what a newer message under the same key has overtaken.
+- messages to another process: a recording of an earlier run addresses processes that have ended,
+- messages of a process whose service another process has taken over, such as one that was frozen and woke up,
+- messages that it has received before, or that a newer message under the same key has overtaken.
 
 An envelope is no cryptography. Unix permissions or mutual TLS decide who can connect to the guarded realm.
 """
@@ -35,7 +35,7 @@ class StaleMessageError(ProtocolError):
 
 
 class MisaddressedError(StaleMessageError):
-    """A message to another process. Its sender has not heard of this one yet."""
+    """A message is addressed to another process. Its sender does not know this process yet."""
 
 
 class Envelopes:
@@ -101,7 +101,7 @@ class Envelopes:
 
 
 def message_in(enclosed: bytes) -> bytes:
-    """The message in an envelope, for a process that only watches: whoever it was sent to, however old it is."""
+    """The message in an envelope, for a process that only watches: addressee and age are not checked."""
     return enclosed[_ENVELOPE_BYTES:]
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Literal
 
 Severity = Literal["error", "warning"]
-"""Of what is wrong with a file: an error keeps it from being used, a warning does not."""
+"""Severity of a finding in a file: a file with an error is not used; a warning is only shown."""
 
 
 class DeltaqError(Exception):
@@ -24,7 +24,7 @@ class ServiceUnreachableError(DeltaqError):
 
 
 class RefusedError(DeltaqError):
-    """A request that was understood and refused.
+    """A valid request was refused.
 
     Attributes:
         code: reason code, one of `deltaq_protocol.reasons.ReasonCode`.

@@ -175,8 +175,8 @@ class Health(Message):
     """A service's heartbeat for `deltaq up`, container health checks and `deltaq status`.
 
     `fingerprint` is the SIM's, a hash of the gate's code and one of its configuration, and so are the `contacts`
-    that are allowed now, and the `epoch` and `newest_id` that the next command has to go by. `cell` is the identity of
-    the cell that the service has read.
+    that are allowed now, and the `epoch` and `newest_id` on which the next command must build. `cell` is the
+    identity of the cell that the service has read.
     """
 
     service: Name

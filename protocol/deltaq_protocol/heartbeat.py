@@ -1,7 +1,7 @@
 """A heartbeat to the supervisor of this process: a file for a container's health check, and systemd's socket.
 
-The loop that does a service's work gives it, so a loop that hangs is found; and whoever looks needs no session, no key
-and no interpreter. `deltaq status --service` asks a service over the network instead, as its clients do.
+The loop that does a service's work writes it, so a loop that hangs is found. Reading it needs no session, no key and
+no interpreter. `deltaq status --service` asks a service over the network instead, as its clients do.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from typing import Any
 from deltaq_protocol.errors import DeltaqError
 
 HEALTH_FILE = "DELTAQ_HEALTH_FILE"
-"""Environment variable: file in memory (tmpfs) whose one line is `healthy` or `unhealthy`, the second since the machine
-started, and what there is to say."""
+"""Environment variable: file in memory (tmpfs) whose one line is `healthy` or `unhealthy`, the time since boot [s],
+and a detail in words.
+"""
 NOTIFY_SOCKET = "NOTIFY_SOCKET"
 """Environment variable of systemd with the socket that gets the service's readiness and its heartbeats."""
 PERIOD_S = 1.0
@@ -51,12 +52,12 @@ class Heartbeat:
         return time_s >= self._next_s
 
     def beat(self, time_s: float, healthy: bool = True, detail: str = "") -> None:
-        """Give one, if it is due; what fails is not tried again before the next.
+        """Write a heartbeat if one is due; a failed one is not repeated.
 
         Args:
             time_s: monotonic time [s].
             healthy: whether the service can do its work.
-            detail: what there is to say.
+            detail: in words.
         """
         if not self.is_due(time_s):
             return
@@ -105,7 +106,7 @@ def _connected(address: str | None) -> socket.socket | None:
     try:
         # systemd names a socket without a file by an @, which stands for a zero byte
         supervisor.connect("\0" + address[1:] if address.startswith("@") else address)
-    except OSError:  # who set the variable has gone, or never listened
+    except OSError:  # the supervisor that set the variable has ended, or never listened
         supervisor.close()
         return None
     return supervisor

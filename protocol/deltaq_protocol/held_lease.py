@@ -1,4 +1,4 @@
-"""The right to move a robot: renewed as long as its holder lives, and lost for good once it was lost."""
+"""A held lease: renewed while its holder runs; a lost lease does not come back."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class HeldLease:
         wire: to the server.
         cell: name of the cell.
         robot: name of the robot.
-        granted: the reply with which it was given.
+        granted: the reply that granted it.
 
     Attributes:
         prover: shows the server that a message is the holder's.
@@ -37,7 +37,7 @@ class HeldLease:
         self._lost: DeltaqError | None = None
 
     def check(self) -> None:
-        """Raise the error with which the lease was lost, if it was; any thread may ask."""
+        """Raise the error by which the lease was lost, if it was; callable from any thread."""
         if self._lost is not None:
             raise self._lost
 
@@ -73,19 +73,19 @@ class HeldLease:
             raise self._lost
 
     def end(self) -> None:
-        """The holder does not use the lease any more; the server does not know yet."""
+        """Stop using the lease, without telling the server; `release` does that."""
         self._lost = RefusedError(ReasonCode.LEASE_NOT_HELD, f"the lease of {self._robot} was given back")
 
     async def release(self) -> None:
-        """Tell the server.
+        """Release the lease at the server.
 
         Raises:
-            DeltaqError: it cannot be told.
+            DeltaqError: the server cannot be reached.
         """
         await self._ask(LeaseAction.RELEASE)
 
     def release_now(self) -> None:
-        """`release` from where no loop runs any more."""
+        """`release` for a caller without a running event loop."""
         request = self._request(LeaseAction.RELEASE)
         self._wire.ask_now(topics.LEASE, self._cell, request, self._robot, self.prover.prove_next)
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class CellIdentity:
-    """A cell as somebody has read it; as text `NAME CONTENT-BODIES`.
+    """Name and hash of a cell, as a process has read it; as text `NAME CONTENT-BODIES`.
 
     Attributes:
         name: of the cell.
-        content: hash of what its description says, in sixteen hexadecimal digits; empty: not told.
+        content: hash of its description, sixteen hexadecimal digits; empty: unknown.
         bodies: hash of the bodies of its robots; empty for a Robot Server, which reads none.
     """
 

@@ -1,4 +1,4 @@
-"""What a controller has sent and no state shows yet: for one that waits for no verdict before its next increment.
+"""Increments in flight: sent, and not yet visible in a state. For controllers that do not wait for verdicts.
 
     in_flight = InFlight()
     for state in robot.states():
@@ -7,10 +7,10 @@
         dq = ...  # from in_flight.ahead(state).q_cmd
         in_flight.sent(robot.send(dq, state.cycle), dq, state.cycle)
 
-Pure: states, verdicts and increments are handed in, in whatever order they come.
+Pure: the caller passes states, verdicts and increments in the order in which they come.
 
-Where the lease has a playout buffer (`deltaq_protocol.messages.Playout`) each state says which increments are in its
-setpoint, so that no verdict has to be known.
+With a jitter buffer (`deltaq_protocol.messages.Playout`) each state names the increments in its setpoint, so no
+verdict is needed.
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ class InFlight:
         self._lookahead_cycles = max(self._lookahead_cycles, _told(state)[0] - state.cycle)
         if state.phase not in _MAY_MOVE:
             for one in self._sent:
-                one.setpoint_cycle = None  # a hold has emptied what the Robot Server kept
+                one.setpoint_cycle = None  # a hold has cleared the Robot Server's increments
                 self._decided_seq = max(self._decided_seq, one.seq)
         self._infer_decided(state)
         oldest = state.cycle - self._lookahead_cycles - PATIENCE_CYCLES

@@ -59,7 +59,7 @@ class ClientInbox(Generic[T]):
         # True here means that the scheduled turn has not begun: it will see the item
         if not self._is_scheduled:
             self._is_scheduled = True
-            # a loop that has ended has nobody left to take it
+            # the loop has ended: nothing will take the message
             with contextlib.suppress(RuntimeError):
                 self._loop.call_soon_threadsafe(self._turn)
 
@@ -99,7 +99,7 @@ class ServedInLoop:
         self._inboxes: list[ClientInbox[Any]] = []
 
     def inbox(self, take: Callable[[T], None], capacity: int, a_turn: int = ITEMS_A_TURN) -> ClientInbox[T]:
-        """An inbox whose contents `take` is called with in the loop; of what waits the newest `capacity` are kept."""
+        """An inbox; the loop calls `take` with each entry. At most the newest `capacity` entries wait."""
         inbox = ClientInbox[T](self._loop, take, capacity, a_turn)
         self._inboxes.append(inbox)
         return inbox

@@ -57,7 +57,7 @@ class SentVerdicts:
         self._sent.append(seq)
 
     def take(self, verdict: Verdict) -> None:
-        """A verdict has come, on what was sent or on something else."""
+        """Take a verdict, on one of the sent increments or on another."""
         if verdict.seq not in self._sent:
             return
         if self.queue.full():
@@ -156,8 +156,8 @@ class LeasedRobot:
         name: of the robot.
         summary: its joints, units and limits.
         lease: the right to move it.
-        sight: how well the controller sees what it looks at, which every increment says; None to say nothing.
-        target: what it looks at, the same.
+        sight: how well the controller sees its target, sent with every increment; None: not sent. target: the name
+            of that target, sent in the same way.
     """
 
     def __init__(
@@ -389,7 +389,7 @@ class LeasedRobot:
             verdict = await verdicts.get()
             if not _is_about_lease(verdict):
                 return verdict
-            # verdicts are public, this one may be about somebody else's increment: ask
+            # verdicts are public, and this one may concern another client's increment: ask
             await self.lease.renew()
 
 

@@ -1,7 +1,7 @@
-"""What a process says: lines for people, or one JSON object a line for what collects logs.
+"""The log of a process: lines for people, or one JSON object a line for log collectors.
 
 `DELTAQ_LOG_FORMAT=json` chooses the second for every service, controller and emulator. Modules log with the standard
-library; what belongs to a line beside its text is given as `extra={"fields": {...}}`.
+library; further fields of a line are given as `extra={"fields": {...}}`.
 """
 
 from __future__ import annotations
@@ -57,14 +57,14 @@ def log_format_named(name: str) -> LogFormat:
 
 
 def configure(service: str, robot: str | None = None) -> None:
-    """Let this process log: what it says to standard output, errors to standard error.
+    """Configure logging of this process: messages to standard output, errors to standard error.
 
     Args:
-        service: what this process is.
-        robot: the one that it serves, if it serves one.
+        service: kind of this process.
+        robot: the robot that it serves, if any.
 
     Raises:
-        LogFormatError: if the environment asks for a format that there is not.
+        LogFormatError: if the environment names an unknown format.
     """
     formatter: logging.Formatter
     if log_format() is LogFormat.JSON:
@@ -80,7 +80,7 @@ def configure(service: str, robot: str | None = None) -> None:
 
 
 def say_result(result: Mapping[str, Any]) -> None:
-    """Print what a program was run for: one JSON object a line in either format."""
+    """Print the result of a program, one JSON object a line, in either format."""
     if log_format() is LogFormat.JSON:
         logging.getLogger("__main__").info(RESULT, extra={"fields": result})
     else:
@@ -110,7 +110,7 @@ def json_line(
 
 
 def read_json_line(line: str) -> dict[str, Any] | None:
-    """The object of a line of the JSON format; None if it is none."""
+    """The object in a line of the JSON format; None for any other line."""
     if not line.startswith(_BEGINNING):
         return None
     try:

@@ -1,9 +1,9 @@
-"""Proofs that who sends a message knows a secret: a lease's, or the operator's. The secret itself is not sent.
+"""Proofs that the sender of a message knows a secret: a lease's, or the operator's. The secret itself is not sent.
 
 A proof is `MAC (32 bytes) | nonce` and travels beside the message, as the attachment of the zenoh sample or query. The
 MAC is BLAKE2b (RFC 7693, 2.9) over the length of the nonce in eight bytes, the nonce, the length of the zenoh key in
 eight bytes, that key, and the message as it was sent; its key is the BLAKE2b hash of the secret, 32 bytes long. All
-numbers are big-endian. So nobody can take a proof from one message and put it beside another.
+numbers are big-endian. So a proof of one message is not valid for another.
 
 The nonce says why the message is new:
 
@@ -48,7 +48,7 @@ class Prover:
 
 
 def line_proof(token: str, challenge: str) -> str:
-    """The proof in the hello of a TCP client, hexadecimal: HMAC-SHA256 (RFC 2104), which every language has at hand.
+    """The proof in the hello of a TCP client: HMAC-SHA256 (RFC 2104), in hexadecimal digits.
 
     Args:
         token: of a role; it is not sent.
@@ -64,13 +64,13 @@ def key_of(secret: str) -> bytes:
 
 
 def proven_nonce(mac_key: bytes, key: str, message: bytes, proof: bytes) -> bytes | None:
-    """The nonce of a proof that is right; None for any other. Compared in constant time.
+    """The nonce of a valid proof; None for any other. Compared in constant time.
 
     Args:
         mac_key: of the secret, by `key_of`.
-        key: zenoh key that the message came under.
-        message: as it came.
-        proof: what came beside it.
+        key: zenoh key under which the message came.
+        message: its bytes.
+        proof: its attachment.
     """
     if not MAC_BYTES <= len(proof) <= MAX_PROOF_BYTES:
         return None

@@ -11,7 +11,7 @@ from enum import StrEnum
 class ReasonCode(StrEnum):
     """Machine-readable reasons; `EXPLANATIONS` says what each one means."""
 
-    # what limited a request that the gate decided
+    # limits of a request that the gate decided
     POSITION_LIMIT = "position_limit"
     VELOCITY_LIMIT = "velocity_limit"
     ACCELERATION_LIMIT = "acceleration_limit"

@@ -1,8 +1,8 @@
 """Receipts: every verdict by which the gate held or refused is an entry in a chain of hashes.
 
 A receipt is the SHA-256 of the receipt before it and of the verdict itself, as JSON without the fields that have
-their default. Anybody who keeps one receipt can later show that no refusal before it was changed, added or
-removed; `deltaq recording replay` verifies the whole chain of a recording.
+their default. One kept receipt proves later that no refusal before it was changed, added or removed; `deltaq
+recording replay` verifies the whole chain of a recording.
 """
 
 from __future__ import annotations

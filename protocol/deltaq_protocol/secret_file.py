@@ -1,4 +1,4 @@
-"""Whether a file is its owner's alone: to read, as a secret has to be, or to write, as what is believed has to be."""
+"""Checks of file permissions: a secret may be read only by its owner, a trusted file written only by its owner."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ def contents(file: Path) -> tuple[os.stat_result, bytes]:
 
 
 def faults_of_secret(about: os.stat_result, file: Path, makes: str) -> Sequence[str]:
-    """Why a file is not this user's secret, with what to do; empty if it is.
+    """Why a file is not secret to this user, and the remedy; empty if it is.
 
     Args:
-        about: what the system says of the file.
+        about: the file's status (`os.stat`).
         file: its path, for people.
         makes: the command that makes one.
     """
@@ -49,7 +49,7 @@ def faults_of_secret(about: os.stat_result, file: Path, makes: str) -> Sequence[
 
 
 def faults_of_believed(about: os.stat_result, file: Path) -> Sequence[str]:
-    """Why others could have written a file, with what to do; empty if only this user and root could."""
+    """Why other users could have written a file, and the remedy; empty if only this user and root could."""
     faults = []
     if not stat.S_ISREG(about.st_mode):
         faults.append("is no regular file")

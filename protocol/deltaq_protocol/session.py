@@ -1,8 +1,8 @@
 """zenoh sessions with explicit endpoints: no process joins by accident, nothing queues up.
 
 Multicast scouting and gossip are off, a lost peer is found again within a fraction of a second, and a
-message is small. What is urgent travels express, at real-time priority, and what is published is dropped rather
-than queued. Where there is a link of datagrams beside the other (`tcp+udp/`), streams that are urgent go over that one.
+message is small. Urgent messages travel express, at real-time priority; streams are dropped rather than queued. With
+a UDP link beside the TCP link (`tcp+udp/`), urgent streams use UDP.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _WAITING_TO_BE_SENT = 16
 """Urgent messages that may wait for a link to be served, the most that zenoh allows. With its own two, every
 millisecond in which a busy machine kept the link's thread waiting cost verdicts and states."""
 LINK_LEASE_MS = 1000
-"""A peer that was not heard for so long is lost; what is published until it is found again never reaches it."""
+"""A peer that is silent for this time is lost; it misses messages until it is found again."""
 _ACCEPT_MS = 1000
 """Silent connections are closed after this: until then they keep others waiting."""
 _OPEN_MS = 3000
@@ -52,7 +52,7 @@ def open_session(
 
     Args:
         listen: endpoints to listen on, e.g. `tcp/127.0.0.1:7447`.
-        connect: endpoints to connect to, and to connect to again whenever they are lost.
+        connect: endpoints to connect to; lost connections are made again.
         must_connect: fail at once if an endpoint cannot be reached, instead of trying for ever.
         access: who may send what here, as `deltaq_protocol.access` returns it; None: anybody may send anything.
         tls: certificates of `tls/` endpoints, as zenoh's configuration has them.
@@ -107,7 +107,7 @@ def _has_datagrams(text: str) -> bool:
 
 
 def _links(text: str) -> tuple[str, ...]:
-    """The links of an endpoint, as zenoh names them: with `rel`, which says what goes over which of two."""
+    """The links of an endpoint, as zenoh names them; `rel` selects the messages of each of two links."""
     if not _has_datagrams(text):
         return (text,)
     place = text.partition("/")[2]
@@ -127,7 +127,7 @@ class EnvelopePublisher:
 
 
 def sending(priority: Priority) -> dict[str, Any]:
-    """How zenoh sends what is so urgent."""
+    """Options with which zenoh sends messages of a priority."""
     urgent = priority is Priority.URGENT
     return {
         "express": urgent,

@@ -1,7 +1,6 @@
-"""The motion of one robot from cycle to cycle, as Robot Server and gate both compute it: to the bit.
+"""The motion of one robot from cycle to cycle, computed alike, bit for bit, by Robot Server and gate.
 
-The gate may decide a few cycles ahead. It then has to know what a Robot Server will have sent by the cycle that it
-decides, which is why both use this.
+A gate that decides a few cycles ahead must know which setpoints the Robot Server will have sent by then.
 """
 
 from __future__ import annotations

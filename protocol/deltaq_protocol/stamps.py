@@ -1,4 +1,4 @@
-"""When an increment passed each station on its way: stamps that every process takes for itself, if it was asked to.
+"""Time stamps of increments at each station from controller to Robot Server, taken if asked for.
 
 The environment variable `DELTAQ_STAMPS` names a folder. A process that finds it set puts its stamps into a ring that
 is there from the start, and writes the ring into that folder when it ends; messages carry nothing more than usual.
@@ -65,7 +65,7 @@ class CycleOutcome(IntEnum):
     FRESH = 0
     """An increment that was admitted for this cycle."""
     BRAKED = 1
-    """The next step of the brake, or nothing any more at its end."""
+    """The next step of the brake, or no motion after its end."""
     REPLY_MISSED = 2
     """The step before once more, because the KRC had not had it."""
     HELD = 3
@@ -91,7 +91,7 @@ class Stamps:
         self._capacity = capacity
         # filled, so that no page of it is touched for the first time in a cycle
         self._ring = bytearray(b"\xff") * (capacity * _STAMP.size)
-        self._numbers = itertools.count()  # each number is given out once, whatever thread asks
+        self._numbers = itertools.count()  # threads never get the same number twice
 
     def add(
         self, station: StampStation, robot: str, cycle: int, detail: int = 0, time_ns: int | None = None
@@ -167,7 +167,7 @@ def read_stamps(file: Path) -> WrittenStamps:
     """Read what `Stamps.write` wrote.
 
     Raises:
-        StampError: if the file is cut short or no file of stamps.
+        StampError: if the file is cut short or holds no stamps.
     """
     head, _, body = file.read_bytes().partition(b"\n")
     try:

@@ -1,4 +1,4 @@
-"""What a client hears of a cell: states and verdicts of its robots, each decoded only where somebody reads it."""
+"""A client's subscriptions to a cell: states and verdicts of its robots, decoded only when they are read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a row of the table of topics says: where, what, how often, how old at most, how urgent, from whom, for whom."""
+"""A row of the table of topics: key, message, rate, greatest age, priority, publishers and readers."""
 
 from __future__ import annotations
 
@@ -57,11 +57,11 @@ class ClientRole(IntEnum):
 
 @dataclass(frozen=True)
 class Right:
-    """What a client has to be for one action.
+    """The role that one action needs.
 
     Attributes:
         what: the action, if the topic has several; otherwise empty.
-        least: the least role that may do it. Where no tokens are set everybody is an operator.
+        least: the least role that may do it. Without tokens every client is an operator.
         of_holder: only the holder of the robot's lease may do it, in any role.
     """
 
@@ -93,7 +93,7 @@ class Cycles:
 
 @dataclass(frozen=True)
 class Hertz:
-    """So many times a second, whatever the robot's cycle."""
+    """A rate in times a second, independent of the robot's cycle."""
 
     hz: float
     steady: bool = True
@@ -127,7 +127,7 @@ class Topic:
     """One row of the table.
 
     Attributes:
-        name: what people call it, as in `deltaq topic echo NAME`.
+        name: its name, as in `deltaq topic echo NAME`.
         template: zenoh key with `{cell}`, `{robot}` and `{service}` to be filled in.
         message: type of the payload.
         publishers: who publishes the stream, or asks the query.
@@ -139,7 +139,7 @@ class Topic:
         priority: how urgent it is.
         recorded: whether a recording holds it. Nobody else receives messages between a client and the HLI; a
             recording has the messages that the HLI makes of them in the guarded realm.
-        rights: which clients may say or hear it; none on topics without clients.
+        rights: the clients that may send or receive it; empty for topics without clients.
     """
 
     name: str

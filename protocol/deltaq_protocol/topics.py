@@ -1,7 +1,7 @@
-"""The table of topics: key, message, answer, rate, greatest age, priority, who publishes, reads, may and records it.
+"""The table of topics: key, message, answer, rate, greatest age, priority, parties, rights and recording.
 
-Publishers' pace and priority, what is too old to act upon, what counts as lagging, access to the sessions, what the HLI
-does for a client of which role, the recorder, `deltaq topic hz`, documentation and tests all follow from this table.
+Rates and priorities, the greatest age of messages, lagging services, access to the sessions, the rights of clients
+by role, the recorder, `deltaq topic hz`, documentation and tests all follow from this table.
 
 Where the cell's `gate` bounds an age in seconds too (`max_request_age_s`), the lesser of the two decides.
 """
@@ -62,7 +62,7 @@ IO = Topic(
     publishers=_CLIENT, readers=_HLI, reply=messages.IoReply, recorded=False,
     rights=(Right("read"), Right("set", of_holder=True)),
 )  # fmt: skip
-"""Outputs of a robot that nobody holds may also be set by anybody where no controller's token is set."""
+"""Without a controller's token, any client may also set outputs of a robot that no client holds."""
 PROXIMITY = Topic(
     "proximity", Realm.OPEN, Kind.STREAM, _OPEN + "proximity", messages.Proximity,
     publishers=_HLI, readers=_CLIENT, rate=Hertz(10.0), priority=Priority.ORDINARY,

@@ -27,7 +27,7 @@ Prove = Callable[[str, bytes], bytes]
 QUERY_DEADLINE_S = 1.0
 """Longer than the server waits for the gate, so that the server's own answer arrives first."""
 LOOK_AGAIN_S = 0.01
-"""Time between two looks whether somebody has come who can answer."""
+"""Time between two checks whether a server that can answer has appeared."""
 
 
 class Wire:
@@ -54,22 +54,22 @@ class Wire:
     ) -> bytes:
         """Send a query and return the payload of its answer; `robot` where the topic's key has one.
 
-        While nobody is there who could answer, as in the moments in which a link that was lost is made again, it waits
-        for somebody; not with a wildcard for the cell. `prove` makes the proof that goes beside the query.
+        While no server is there, as after a lost link, it waits for one, unless the key has a wildcard for the cell.
+        `prove` makes the proof that is attached to the query.
 
         Raises:
             RefusedError: the server refused the request.
-            ServiceUnreachableError: nobody answered within the deadline.
+            ServiceUnreachableError: no answer within the deadline.
         """
         key, payload = topic.key(cell, robot=robot), pack(request)
         give_up_s = self._loop.time() + deadline_s
         reply: zenoh.Reply | None = None
         try:
-            if "*" not in key:  # zenoh does not tell who would answer to that
+            if "*" not in key:  # zenoh cannot tell whether a key with a wildcard has a server
                 await self._somebody_is_there(key, give_up_s)
             left_s = give_up_s - self._loop.time()
             if left_s > 0.0:
-                # once: who took it and did not answer may have carried it out
+                # not repeated: a server that took it without answering may have carried it out
                 reply = await self._query(topic, key, payload, prove, left_s)
         except zenoh.ZError as error:
             raise ServiceUnreachableError(
@@ -86,7 +86,7 @@ class Wire:
         )
 
     async def _somebody_is_there(self, key: str, give_up_s: float) -> None:
-        """Wait until somebody can be asked, or until a time of the loop has come."""
+        """Wait until a server can be asked, or until a time of the loop."""
         querier = self._session.declare_querier(key)
         try:
             while not querier.matching_status.matching and self._loop.time() < give_up_s:
@@ -106,7 +106,7 @@ class Wire:
                 future.set_result(reply)
 
         def post(reply: zenoh.Reply | None) -> None:
-            with contextlib.suppress(RuntimeError):  # the loop may have ended: nobody is left to be told
+            with contextlib.suppress(RuntimeError):  # the loop may have ended: no caller waits for the answer
                 self._loop.call_soon_threadsafe(settle, reply)
 
         self._session.get(
@@ -120,7 +120,7 @@ class Wire:
         return await future
 
     def ask_now(self, topic: Topic, cell: str, request: Message, robot: str, prove: Prove) -> None:
-        """Send a query from where no loop runs any more, and wait until it was answered or will not be."""
+        """Send a query without a running event loop, and wait for the answer or the deadline."""
         key, payload = topic.key(cell, robot=robot), pack(request)
         with contextlib.suppress(zenoh.ZError):
             for _ in self._session.get(
@@ -166,7 +166,7 @@ class Newest(Generic[S, T]):
 
     Args:
         loop: in which `after` is awaited.
-        decode: the value of a sample; None if it has none: then the value before it stands.
+        decode: the value of a sample; None keeps the previous value.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, decode: Callable[[S], T | None]) -> None:
@@ -187,10 +187,10 @@ class Newest(Generic[S, T]):
             self._sample = sample
             self._count += 1
             self._in_threads.notify_all()
-        # who begins to await now reads first, and finds the sample
+        # a task that begins to wait now reads first, and finds the sample
         if self._awaiting and not self._is_waking:
             self._is_waking = True
-            with contextlib.suppress(RuntimeError):  # in a loop that has ended nobody awaits
+            with contextlib.suppress(RuntimeError):  # in a loop that has ended nothing waits
                 self._loop.call_soon_threadsafe(self._wake)
 
     @property
@@ -285,7 +285,7 @@ class Asking:
         self._role = role
 
     async def ask(self, answer: type[M], topic: Topic, request: Message, robot: str = "") -> M:
-        """Ask for what anybody may.
+        """Send a query that needs no role.
 
         Raises:
             RefusedError: the server refused the request.
@@ -294,7 +294,9 @@ class Asking:
         return unpack(answer, await self._wire.ask(topic, self._cell, request, robot))
 
     async def ask_with_role(self, answer: type[M], topic: Topic, request: Message, robot: str = "") -> M:
-        """Ask for what a role may; the token or identity, where there is one, answers a challenge and is not sent.
+        """Send a query that needs a role.
+
+        The token or identity, if there is one, answers a challenge and is not sent.
 
         Raises:
             RefusedError: the server refused the request.

@@ -1,4 +1,4 @@
-"""The authority of a cell: it makes the identities of its services, operators and controllers, and nothing else.
+"""The authority of a cell: it issues the identities of its services, operators and controllers.
 
 authority/key.pem, certificate.pem    whoever has the key can make identities
 authority/issued/NAME.pem             the certificate of each identity that was made
@@ -94,10 +94,10 @@ class Authority:
 
     @classmethod
     def read(cls, folder: Path, now: datetime) -> Authority:
-        """The one in a folder.
+        """The authority in a folder.
 
         Raises:
-            IdentityError: if there is none, or it is not its owner's secret.
+            IdentityError: if there is none, or other users may read or write it.
         """
         key = private_key_in(folder / KEY)
         file = folder / CERTIFICATE
@@ -203,7 +203,7 @@ def _refuse_to_replace(to: Path, services: Sequence[str]) -> None:
 
 
 def _issued(place: Path, name: str, issuing: Authority, now: datetime) -> x509.Certificate | None:
-    """The certificate that an authority has issued to somebody; None if it has not."""
+    """The certificate that an authority has issued under a name; None if there is none."""
     file = place / ISSUED / f"{name}.pem"
     if not file.exists():
         return None

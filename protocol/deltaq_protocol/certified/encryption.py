@@ -19,10 +19,10 @@ from deltaq_protocol.sayings import HLI
 
 
 def tls_settings(folder: Path) -> dict[str, Any]:
-    """Certificates of an identity; both ends of a link show theirs.
+    """TLS settings of an identity, as zenoh's configuration has them; both ends show certificates.
 
-    They are services' and people's, not hosts', so that no host's name is looked for in one: access control and proofs
-    decide who is heard under which key.
+    Certificates name services and people, not hosts, so no host name is verified; access control and proofs decide
+    who may send under which key.
     """
     key, certificate = str(folder / KEY), str(folder / CERTIFICATE)
     return {
@@ -46,11 +46,11 @@ def client_tls(hli: str, identity: str | os.PathLike[str] | None = None) -> dict
 
     Args:
         hli: endpoint of the HLI.
-        identity: folder of the client's identity; None: the one that the environment names, or on the HLI's machine
-            the HLI's.
+        identity: folder of the client's identity; None: the identity that the environment names, or on the HLI's
+            machine the HLI's own.
 
     Raises:
-        InvalidEndpointError: the endpoint is none.
+        InvalidEndpointError: the endpoint has no valid form.
         IdentityError: the endpoint is encrypted, and there is no identity.
     """
     if not is_encrypted(hli):

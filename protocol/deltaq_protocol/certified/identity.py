@@ -42,13 +42,13 @@ _MAKES = "deltaq keys --cell CELL --output FOLDER"
 
 @dataclass(frozen=True)
 class Identity:
-    """Somebody of a cell, with the key that proves it.
+    """The identity of a service, operator or controller: its certificate and its private key.
 
     Attributes:
         folder: folder from which it was read.
         key: its own.
-        certificate: of that key.
-        authority: certificate of who issued it.
+        certificate: the certificate of that key.
+        authority: certificate of its issuer.
     """
 
     folder: Path
@@ -61,7 +61,8 @@ class Identity:
         """The identity in a folder.
 
         Raises:
-            IdentityError: if there is none, others may use or write it, or its authority did not issue it for now.
+            IdentityError: if there is none, other users may read or write it, or its authority's certificate is not
+                valid now.
         """
         files = {name: folder / name for name in (KEY, CERTIFICATE, AUTHORITY)}
         key = private_key_in(files[KEY])
@@ -98,7 +99,7 @@ class Identity:
 
 
 def private_key_in(file: Path) -> ec.EllipticCurvePrivateKey:
-    """The key in a file that is this user's secret.
+    """The private key in a file that only this user can read.
 
     Raises:
         IdentityError: if it is not, or there is none.
@@ -116,10 +117,10 @@ def private_key_in(file: Path) -> ec.EllipticCurvePrivateKey:
 
 
 def read_believed(file: Path) -> bytes:
-    """The bytes of a file that nobody else could have written.
+    """The bytes of a file that no other user can write.
 
     Raises:
-        IdentityError: if somebody could, or it cannot be read.
+        IdentityError: if another user can write it, or it cannot be read.
     """
     about, data = _contents(file)
     if faults := faults_of_believed(about, file):

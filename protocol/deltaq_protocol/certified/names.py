@@ -21,7 +21,7 @@ _PERSONAL = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 
 
 class IdentityError(DeltaqError):
-    """An identity that is missing, of another cell, out of date, not a secret, or not who it should be."""
+    """An identity is missing, of another cell, out of date, not kept secret, or has an unexpected name."""
 
 
 class IdentityKind(StrEnum):
@@ -33,7 +33,7 @@ class IdentityKind(StrEnum):
 
 
 def name_of(kind: IdentityKind, name: str) -> str:
-    """The name of an identity, from what people call it.
+    """The name of an identity, from the name on the command line.
 
     Raises:
         IdentityError: if it cannot be the name of a folder, or is too long.

@@ -38,7 +38,7 @@ class Signed:
 
     @classmethod
     def parse(cls, proof: bytes) -> Signed | None:
-        """From what came beside a message; None if it is none."""
+        """Read a signature from the attachment of a message; None if the attachment is no signature."""
         if not MAX_PROOF_BYTES < len(proof) <= MAX_SIGNED_BYTES:
             return None
         parts, rest = [], proof

@@ -1,4 +1,4 @@
-"""Messages of the open realm: what a controller sends and sees.
+"""Messages of the open realm: all that controllers send and receive.
 
 All joint quantities are in the joint order of the robot's description, rad for revolute and m for
 prismatic joints. `q` is a configuration, `dq` an increment over one cycle, never a velocity.

@@ -11,7 +11,7 @@ LINE_VERSIONS = (1, 2, 3)
 """Versions that clients over lines of JSON may speak: to them later ones have only more fields to pass over."""
 
 MOST = 1e30
-"""Greatest number in a message: what is computed from it, as a square or a rate, cannot overflow."""
+"""Greatest number in a message: its square or a rate computed from it cannot overflow."""
 MOST_OF_A_JOINT = 1e6
 """Greatest position, increment, speed or acceleration of a joint in a message [rad or m, per s, per s^2]; so far from
 the origin may a point be [m], too."""
@@ -29,13 +29,13 @@ PoseRows = tuple[Row, Row, Row, Row]
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[a-z][a-z0-9_-]*$")]
 Count = Annotated[int, Field(ge=0, lt=2**63)]
 MOST_COUNTED_ON = 2**62
-"""Ids and epochs from which somebody counts on are below it: no message brings such a count to its end."""
+"""Upper bound of ids and epochs that a receiver continues to count: no message can exhaust the count."""
 Secret = Annotated[str | None, Field(repr=False)]
 """A token: neither shown nor quoted, see `deltaq_protocol.codec`."""
 
 
 class Message(BaseModel):
-    """Base of all messages: immutable, and a field that is not known is an error.
+    """Base of all messages: immutable, and an unknown field is an error.
 
     Neither its errors nor its `repr` show what may be a secret.
     """

@@ -1,4 +1,4 @@
-"""What moves a robot, and what is said about it: increments, verdicts, states."""
+"""Messages of motion: increments, verdicts, states."""
 
 from __future__ import annotations
 
@@ -23,10 +23,9 @@ MOST_TARGETS = 8
 
 
 class Sight(StrEnum):
-    """How well a controller sees what it looks at.
+    """How well a controller sees its target.
 
-    What it knows of the robot that it follows is as old as the link makes it, older, or gone; or a body is between the
-    camera and its target.
+    Its data of the followed robot are fresh, too old or missing; or a body hides the target from the camera.
     """
 
     FRESH = "fresh"
@@ -92,7 +91,7 @@ class ViewRequest(ViewWish):
 class ViewReply(Message):
     """The view that results from all requests so far, and the holder of the robot: null if no client follows.
 
-    `sight` and `target` are as in the robot's states: what the camera looks at now, and how well it sees it.
+    `sight` and `target` are as in the robot's states: how well the camera sees its target, and the target's name.
     """
 
     type: Literal["view"] = "view"
@@ -175,11 +174,12 @@ class RobotState(Message):
     `q_cmd` is the setpoint just sent. In a cell with a lookahead an increment that answers this state goes into
     `setpoint_cycle`, and is added to `q_ahead`: the setpoint after all increments admitted so far, and after the
     brake in cycles without one. Without a lookahead both are null; they are then the next cycle and `q_cmd`.
-    `playout` is present if the robot's lease asked for a jitter buffer. `sight` is how well the controller sees what
-    it looks at, and `target` is what that is, as its newest increment says; null if it says nothing. `view` is the view
+    `playout` is present if the robot's lease asked for a jitter buffer. `sight` is how well the controller sees its
+    target, and `target` is that target's name, both from its newest increment; null if the increment has none.
+    `view` is the view
     last requested of its camera; it outlives leases, so that the next follower uses the same view.
-    `gate` is the fingerprint of the gate: a hash of its code and one of its configuration; empty until the gate has
-    been heard.
+    `gate` is the fingerprint of the gate: a hash of its code and one of its configuration; empty until the gate's
+    first message.
     """
 
     type: Literal["state"] = "state"

@@ -1,4 +1,4 @@
-"""What a client is told and may ask for: description of the cell, leases, requests and their answers, status."""
+"""Requests of clients and their answers: description of the cell, leases, outputs, stop and reset, status."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from deltaq_protocol.messages.base import (
 from deltaq_protocol.messages.motion import Phase, Verdict
 from deltaq_protocol.reasons import ReasonCode
 
-# What a client is told first: the cell and its robots.
+# The first message to a client: the cell and its robots.
 
 
 class Hello(Message):
@@ -102,8 +102,9 @@ class RobotKinematics(Message):
 class Description(Message):
     """Everything a client needs to model the cell: the YAML text, each robot's URDF text, and its hulls.
 
-    `kinematics` holds, by robot, what follows from YAML and URDF, for a client that reads neither. `hulls` holds the
-    hulls by which the gate replaces the collision meshes of a URDF: by robot and body, the corners of a convex hull in
+    `kinematics` holds the kinematics by robot, computed from YAML and URDF, for clients that read neither. `hulls`
+    holds the convex hulls that the gate uses in place of the collision meshes of a URDF: by robot and body, the
+    corners of a convex hull in
     the frame of the body [m]. Visual meshes are not sent. `identity` is the cell's name and hash
     (`deltaq_protocol.identity`); a client that has a file of the cell compares it with its own.
     """
@@ -231,7 +232,7 @@ class Done(Message):
     """A stop, a reset or a change of contacts was carried out.
 
     After a stop every robot is held, or offline; after a reset the robot is not held any more: its state has shown it.
-    If it is not confirmed in time, the answer is the error `unreachable`; the gate was asked nevertheless.
+    Without confirmation in time the answer is the error `unreachable`, although the gate was asked.
     """
 
     type: Literal["done"] = "done"

@@ -82,7 +82,7 @@ class AxisMap:
 
     @cached_property
     def reported(self) -> Array:
-        """(n,) deg or mm (or what a KR C2 makes of it) of a reported position per rad or m."""
+        """(n,) units of a reported position (deg or mm; a KR C2 may scale them) per rad or m."""
         linear = MM_PER_M * DEG_PER_RAD if self.krc == "krc2" else MM_PER_M
         return np.array([DEG_PER_RAD if unit == "rad" else linear for unit in self.units])
 

@@ -1,4 +1,4 @@
-"""The `*_ethernet.xml` of a KUKA controller: what a telegram consists of, in both directions.
+"""The `*_ethernet.xml` of a KUKA controller: the layout of telegrams in both directions.
 
 The controller and this project load the very same file, so the two cannot disagree. Source: the RSI manuals'
 description of the ETHERNET object (elements CONFIG, SEND and RECEIVE; attributes TAG, TYPE, INDX, HOLDON).
@@ -56,7 +56,7 @@ class Element:
 
     Attributes:
         tag: as written, e.g. `DEF_AIPos` or `AK.A1`.
-        channel: 1 to 64, or None for what the controller handles itself (INDX INTERNAL).
+        channel: 1 to 64, or None for elements that the controller fills itself (INDX INTERNAL).
         hold_on: keep the last value when a telegram is late (HOLDON 1), or take 0 (HOLDON 0).
     """
 

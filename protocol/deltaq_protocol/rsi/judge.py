@@ -1,6 +1,6 @@
-"""Whether the files that a KRC has loaded can be safe with a cell's description of its robot.
+"""Checks the files that a KRC has loaded against the cell's description of its robot.
 
-An error would move a robot where nobody sent it, or let nobody stop it; a warning would make an outage worse.
+An error could move a robot without a command, or prevent a stop; a warning could make an outage worse.
 Pure: texts and descriptions in, findings out.
 """
 
@@ -18,13 +18,13 @@ from deltaq_protocol.rsi.layout import correction_fields
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong with a KRC's file.
+    """One fault in a KRC's file.
 
     Attributes:
         severity: an error keeps the Robot Server from starting; a warning does not.
         element: where in the file, e.g. `RECEIVE/AK.A1`.
-        message: what is wrong, what it leads to and what to do.
-        value: what the file says, where it says something.
+        message: the fault, its consequence and the remedy.
+        value: the value in the file, if it has one.
         bound: what is allowed.
         field: the field of the cell's `driver` that it concerns.
         source: name of the file.

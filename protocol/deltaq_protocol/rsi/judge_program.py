@@ -1,7 +1,7 @@
-"""Whether a KRC's context and KRL program treat corrections as the Robot Server assumes.
+"""Checks that a KRC's context and KRL program treat corrections as the Robot Server assumes.
 
-The `*_ethernet.xml` says what is on the wire; the context says which axis a correction moves, and the program whether
-it is an offset from the start (absolute) or an increment in every cycle (relative), and how long a cycle is.
+The `*_ethernet.xml` says what is on the wire; the context defines which axis a correction moves, and the program
+whether it is an offset from the start (absolute) or an increment in every cycle (relative), and how long a cycle is.
 """
 
 from __future__ import annotations
@@ -197,7 +197,7 @@ def _axis_correction(code: str, source: str) -> Iterator[Finding]:
             )
 
 
-# RSI contexts: which object of the KRC is linked to which, and with what parameters. RSI 3 loads a `.rsi.xml`, whose
+# RSI contexts: the KRC's objects, their links and their parameters. RSI 3 loads a `.rsi.xml`, whose
 # inputs and outputs count from 1; RSI 4 and later a `.rsix`, where they count from 0. Here they count from 1. Source:
 # contexts that RSI Visual wrote (RSI 3.1, 4.1 and 5.0).
 

@@ -33,7 +33,7 @@ _NUMBER = re.compile(rf"{NUMBER}|[-+]?\.[0-9]{{1,16}}(?:[eE][-+]?[0-9]{{1,2}})?"
 _MARKUP = re.compile(rb"""<[^<>"']*(?:"[^"]*"[^<>"']*|'[^']*'[^<>"']*)*>""")
 _NAME_OR_VALUE = re.compile(rb""""[^"]*"|'[^']*'|(?<![\w.-])[0-9][\w-]*""")
 _PLAIN_TEXT = r"[ !#-%\'-;=?-~]*"
-"""Printable ASCII without what means something in XML."""
+"""Printable ASCII without XML's special characters."""
 _STOP = "driver.stop"
 """Key of the stop among the outputs; no output can have this name."""
 _POSE_SCALE = (MM_PER_M,) * 3 + (DEG_PER_RAD,) * 3
@@ -118,7 +118,7 @@ class KrcCodec:
         self._corrections = [corrections[axis] for axis in axes.axes]
         self._per_commanded = 1.0 / axes.commanded
         self._expected = receive_fields(config)
-        # the signal that ends the motion is none of the outputs, and may not be one of them either
+        # the signal that ends the motion must not be one of the outputs
         named = dict(outputs) if stop is None else dict(outputs) | {_STOP: stop}
         self._digital = digital_fields(config, "RECEIVE", self._expected, named)
         self._stop = self._digital.pop(_STOP, None)
@@ -210,7 +210,7 @@ class KrcCodec:
         """Read a reply; elements may come in any order; unknown ones are skipped, and so is the end of a C string.
 
         Raises:
-            TelegramError: if it is no reply of this configuration, with what is wrong.
+            TelegramError: if it is no reply of this configuration; the message says why.
         """
         match = self._compact.fullmatch(datagram) if len(datagram) <= MAX_TELEGRAM_BYTES else None
         if match is None:

@@ -118,9 +118,9 @@ class SensorCodec:
 
     @property
     def template(self) -> tuple[bytes, tuple[int, ...]]:
-        """A reply, and what belongs in each of its places.
+        """A reply as a template, and the value for each of its places.
 
-        That is an index into corrections [deg or mm], then outputs, then text, IPOC and stop.
+        A place is an index into corrections [deg or mm], then outputs, then text, IPOC and stop.
         """
         return self._template, tuple(self._places)
 
