@@ -15,7 +15,7 @@ FUNCTIONS = 120
 
 
 def main() -> int:
-    """Make a cell's bodies once, which compiles what looking at them needs."""
+    """Compile the gate: make a cell's bodies once and measure them."""
     where = folder(_PACKAGE)
     if not is_complete(where, "gate", _PACKAGE):
         compile_ahead()
@@ -25,7 +25,7 @@ def main() -> int:
 
 def compile_ahead() -> None:
     """Place and look at the bodies of the lab cell."""
-    # what is heavy is imported only where something is left to do
+    # large packages are imported only if something is left to compile
     from deltaq_cell.cell_model import CellModel
     from deltaq_cell.compiled_proximity import CompiledProximity
     from deltaq_cell.machine_code import compiling_shown

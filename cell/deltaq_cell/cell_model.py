@@ -56,7 +56,7 @@ class CellModel:
     Attributes:
         description: as its YAML gives it.
         robots: name to model, in the order of the description.
-        structure: bodies that stand still, in world coordinates, named `structure/...`.
+        structure: fixed bodies, in world coordinates, named `structure/...`.
         yaml: the YAML text.
     """
 
@@ -136,7 +136,7 @@ def robot_summary(description: RobotDescription, cycle_s: float) -> messages.Rob
     )
 
 
-# A robot's kinematics as a client is told them: numbers only, so that it needs neither YAML nor URDF.
+# A robot's kinematics for clients: numbers only, so that a client needs neither YAML nor URDF.
 
 
 def told_kinematics(robot: RobotModel) -> RobotKinematics:
@@ -155,7 +155,7 @@ def told_kinematics(robot: RobotModel) -> RobotKinematics:
 def joint_axis(robot: RobotModel, index: int) -> tuple[float, float, float]:
     """The axis of a joint in its own frame: a unit vector, along which or about which it moves."""
     model = robot.model
-    # at any configuration: in its own frame a joint's axis stands still
+    # at any configuration: in its own frame a joint's axis is constant
     J = pin.computeJointJacobian(model, model.createData(), pin.neutral(model), index + 1)
     motion = np.reshape(J, (6, -1))[:, index]  # of a robot with one joint pinocchio gives a vector
     x, y, z = np.asarray(motion[3:] if robot.revolute[index] else motion[:3]).round(15).tolist()

@@ -57,9 +57,9 @@ class DescriptionCheck:
         yield from self._krc_files(name, robot)
 
     def _ports(self) -> Iterator[Problem]:
-        """No two listeners share a port, and no other socket can be given one of them by chance.
+        """No two listeners share a port, and no port lies in the range that the system gives to other sockets.
 
-        Those of RSI are excepted: a KRC is told them by its file, and KUKA's examples have 49152.
+        RSI ports are excepted: a KRC's file names them, and KUKA's examples have 49152.
         """
         taken: dict[int, str] = {}
         of_rsi: set[FieldPath] = set()

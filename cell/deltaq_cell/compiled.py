@@ -1,10 +1,9 @@
-"""Functions compiled to machine code, so that they cost their arithmetic and not what Python takes to call numpy.
+"""Functions compiled to machine code, to avoid the cost of numpy calls from Python.
 
 They stay Python, typed and tested as such: with `NUMBA_DISABLE_JIT=1` they run as they stand. The machine code is
-kept on disk. Whether it is out of date numba tells by the file of a function, but not by the files of the functions
-that it calls; so it is kept in a folder named after the sources of all compiled functions of its package and of the
-gate's kernel. Within that folder a module is found by its place in the package, so that the folder can be copied to
-another installation.
+kept on disk. Numba notices a change in a function's own file, but not in the files of the functions that it calls.
+So the code is kept in a folder named after a hash of all compiled sources of its package and of the gate's kernel.
+Within that folder a module is found by its path in the package, so the folder can be copied to another installation.
 """
 
 from __future__ import annotations

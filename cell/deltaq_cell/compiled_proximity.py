@@ -1,7 +1,7 @@
-"""Looks at many pairs of a cell's bodies, and certificates of tubes, in machine code.
+"""Distance checks of many pairs of bodies, and certificates of tubes, in machine code.
 
-Where bodies are, how far they travel and which of them have room is the kernel's (`deltaq_cell.kernel`); coal measures
-the tightest pair that is told.
+The kernel (`deltaq_cell.kernel`) computes poses, travel and bounds of distances; coal measures the tightest pair
+exactly.
 """
 
 from __future__ import annotations
@@ -176,7 +176,7 @@ class CompiledProximity(ProximityEngine):
         """Find the groups with less than `room_m` beyond their stop distance, and the tightest pair of all.
 
         Args:
-            groups: one of this object's own lists, what a look found failing, or a few of their groups; not empty.
+            groups: one of this object's own lists, the failing groups of a look, or a few of its groups; not empty.
             room_m: what is asked for beyond each stop distance [m].
         """
         listed = self._as_listed(groups)
@@ -260,7 +260,7 @@ class CompiledProximity(ProximityEngine):
         budget: int,
         tells: bool = True,
     ) -> Division:
-        """Whether groups keep `room_m` beyond their stop distance anywhere in one tube or two.
+        """Certify that groups keep `room_m` beyond their stop distance anywhere in one tube or two.
 
         Afterwards no robot counts as placed.
 
@@ -270,7 +270,7 @@ class CompiledProximity(ProximityEngine):
             groups: one of this object's own lists, or a few of their groups.
             room_m: what is asked for beyond each stop distance, which is positive with it [m].
             budget: how many pairs may be searched in parts of the tubes and be followed by others.
-            tells: whether the tightest pair is asked for.
+            tells: whether the tightest pair is to be returned.
         """
         listed = self._as_listed(groups)
         other = Tube(mine.points[:0], 0, 0, 0, *mine[4:]) if theirs is None else theirs
@@ -311,7 +311,7 @@ class CompiledProximity(ProximityEngine):
         """One of this object's own lists, whose groups are numbered one after the other."""
         paired = self._paired(groups)
         first = int(paired.numbers[0]) if groups else 0
-        # what is left out of a group is left out here
+        # pairs that a group leaves out are left out here, too
         active = self._active[first : first + len(paired.numbers)]
         return PairedGroups(groups, paired.numbers, paired.group, paired.pairs._replace(active=active))
 
@@ -335,7 +335,7 @@ class CompiledProximity(ProximityEngine):
     ) -> tuple[Nearest, float]:
         """Measure a pair, by its index in a list that was looked at; and its stop distance [m].
 
-        Its bodies travel by `travel_m` together, if that is not what the last look found.
+        `travel_m` is the travel of both bodies together; by default that of the last look.
         """
         if not self._is_measured:
             self._meter.place(self._q)

@@ -42,14 +42,14 @@ class KernelArrays(NamedTuple):
 
 @dataclass(frozen=True)
 class WholeCertificate:
-    """What came of a robot's whole tube.
+    """Result of certifying a robot's whole tube.
 
     Attributes:
-        holds: whether every pair keeps what is asked anywhere in it.
+        holds: whether every pair keeps the requested distance anywhere in the tube.
         left: what is left of the budget.
-        tightest: the pair with the least room, of all first looks or of that which failed; None if there are none.
+        tightest: the pair with the least room, of all first looks or of the failing one; None without pairs.
         stop_distance_m: of that pair [m].
-        failing: the pairs that were left open where it failed; none if it holds.
+        failing: the pairs that are not certified; empty if it holds.
         other: the robot on the other side there, None if there is none.
     """
 
@@ -114,7 +114,7 @@ class Decisions:
         max_dv: Array,
         longest_cycles: int,
     ) -> Course:
-        """Every course of a robot between a brake and a request, as the kernel takes it.
+        """The robot's setpoints for every share from a brake (0) to a request (1), in the kernel's form.
 
         Args:
             robot: its name.
@@ -122,7 +122,7 @@ class Decisions:
             brake: (n,) increment at a share of 0 [rad or m].
             request: (n,) increment at a share of 1.
             max_dv: (n,) largest change of the increment between two cycles.
-            longest_cycles: length of the longest brake after any share that is asked for.
+            longest_cycles: length of the longest brake after any share.
         """
         count = len(before.points)
         points = np.empty((count + longest_cycles, before.points.shape[1]))
@@ -164,12 +164,12 @@ class Decisions:
     def certify(
         self, robot: str, mine: Tube, against: Against, room_m: float, budget: int, tells: bool
     ) -> WholeCertificate:
-        """Whether a robot keeps `room_m` beyond every stop distance in its whole tube.
+        """Certify that a robot keeps `room_m` beyond every stop distance in its whole tube.
 
         Args:
             robot: its name.
             mine: its tube.
-            against: what it is held against.
+            against: tubes and bodies against which it is checked.
             room_m: what is asked for beyond each stop distance, which is positive with it [m].
             budget: how many pairs may be searched in parts of the tubes.
             tells: whether the tightest pair is asked for.
@@ -218,16 +218,16 @@ class Decisions:
         halvings: int,
         rounds: int,
     ) -> tuple[float, int]:
-        """The largest share of a request found that is certified, 0 if none is; and what is left of the budget.
+        """The largest certified share of a request that the search finds, 0 if none; and the remaining budget.
 
         Args:
             course: of the request.
-            refused: a share whose certificate does not hold.
-            against: what the robot's tube is held against.
-            suspects: where that failed: the other robot, if there is one, and numbers of the pairs.
+            refused: a share that could not be certified.
+            against: tubes and bodies against which the robot's tube is checked.
+            suspects: the pairs at which that failed: the other robot, if any, and the numbers of the pairs.
             room_m: what is asked for beyond each stop distance, which is positive with it [m].
             budget: how many pairs may be searched in parts of the tubes, for all shares together.
-            trial_budget: of these, what one trial of suspects may spend on one other tube.
+            trial_budget: the part of it that one trial of suspects may spend on one other tube.
             halvings: how finely a share is searched.
             rounds: searches that end with a certificate.
         """
@@ -364,10 +364,10 @@ class Meter:
 
 @dataclass(frozen=True)
 class Division:
-    """What came of dividing tubes.
+    """Result of dividing tubes.
 
     Attributes:
-        holds: whether every pair keeps what is asked anywhere in them.
+        holds: whether every pair keeps the requested distance anywhere in them.
         left: what is left of the budget.
         tightest: the pair with the least room, in the first look or in that which failed; None if there are none.
         stop_distance_m: of that pair [m].

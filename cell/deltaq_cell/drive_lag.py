@@ -1,15 +1,15 @@
-"""Lag of a robot's drives: its definition, how a measured response tells it, and what the gate presumes of it.
+"""Lag of a robot's drives: its definition, its measurement from a response, and the gate's assumption.
 
-A setpoint is sent at one time, and telegrams measure later where the drives are. For linear drives the share `S(t)`
+Drives reach a setpoint some time after it was sent. For linear drives the share `S(t)`
 of a step of the setpoint has arrived at the time `t` after it was sent. The gate presumes that every measured
 configuration lies in the hull of the setpoints of the last `gate.servo_lag_s`, up to the tracking tolerance. It is a
-mean of earlier setpoints, and older setpoints than those contribute the share `1 - S(servo_lag_s)`. So neither the mean
-delay nor the time to half a step tells whether the gate is right, but this does:
+mean of earlier setpoints, and older setpoints than those contribute the share `1 - S(servo_lag_s)`. So neither the
+mean delay nor the time to half a step shows whether this assumption holds; the settled lag does:
 
     settled lag: the least T with |1 - S(t)| <= REMAINDER for every t >= T
 
-It holds the cycle in which the setpoint travels to the drives, their dead time, their response, and the swing of drives
-that overshoot by more than the remainder.
+It includes the cycle in which the setpoint travels to the drives, their dead time, their response, and overshoot by
+more than the remainder.
 """
 
 from __future__ import annotations

@@ -40,9 +40,9 @@ class Group:
 
     Args:
         bodies: pinocchio geometry objects on one link.
-        against: the others.
+        against: the bodies on the other side.
         never: pairs of names that are left out.
-        stop_distance_m: what the pairs have to keep.
+        stop_distance_m: the distance that all pairs have to keep.
 
     Attributes:
         pairs: the bodies of each.
@@ -151,12 +151,12 @@ def _ask_boxes_for_a_slanting_direction() -> None:
 
 
 class PairedGroups(list[Group]):
-    """Groups with the pairs of them that are to be looked at; not to be changed.
+    """Groups with their pairs to be checked; immutable.
 
     Attributes:
-        numbers: (pairs,) of the pairs among all.
+        numbers: (pairs,) index of each pair among all pairs.
         group: (pairs,) index of the group that each belongs to, in `of`.
-        pairs: what the kernel is given.
+        pairs: the same pairs in the kernel's form.
         of: the groups of the pairs; a group that was not given has no active pair.
     """
 

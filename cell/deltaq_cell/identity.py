@@ -1,8 +1,7 @@
-"""The hash of a cell: of what its description says, not of the bytes of its file.
+"""The hash of a cell's description: of its content, not of the bytes of its file.
 
-A comment, the order of fields, `10` or `10.0`, and whether it extends another cell change nothing. Where a service
-listens or a file lies may differ from one host to another and is left out; what the files of a robot's model say is
-hashed itself.
+A comment, the order of fields, `10` or `10.0`, and whether it extends another cell change nothing. Addresses and
+paths of files may differ between hosts and are left out; the content of a robot's model files is hashed.
 """
 
 from __future__ import annotations
@@ -52,5 +51,5 @@ def _leave_out(fields: dict[str, Any], names: set[str]) -> None:
 
 
 def _hash(fields: Any) -> str:
-    # names of robots, joints and bodies keep their order: it is that of vectors, and of what is decided first
+    # the order of robots, joints and bodies matters: vectors and decisions follow it
     return hashlib.sha256(json.dumps(fields).encode()).hexdigest()[:16]

@@ -70,7 +70,7 @@ def _merged(tree: YamlNode) -> str:
 
 
 def _read_with_bases(path: Path, seen: tuple[Path, ...] = ()) -> tuple[str, YamlNode, bool]:
-    """Text and tree of a file, what it extends merged in, and whether it extends anything."""
+    """Text and tree of a file, merged with the cells that it extends, and whether it extends any."""
     text, tree = read(path)
     assert isinstance(tree.value, dict)  # read() ensures it
     _resolve_models(tree, path)
@@ -97,7 +97,7 @@ def _find_base(path: Path, name: str) -> Path:
         return find_cell(name)
     except CellError:
         if beside.suffix:
-            find_cell(beside)  # says what there is beside the file
+            find_cell(beside)  # the error names the files beside it
         raise
 
 

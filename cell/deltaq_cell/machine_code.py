@@ -69,7 +69,7 @@ def mark_complete(where: str, name: str, package: Path) -> None:
 
 
 def _mark(where: str, name: str, package: Path) -> Path:
-    """A file whose name changes with all that makes numba compile anew: code, versions, the processor."""
+    """A file whose name is a hash of all that makes numba compile again: code, versions, the processor."""
     sources = [path.read_bytes() for path in sorted(package.rglob("*.py"))]
     processor = [platform.machine(), platform.processor()]
     with suppress(OSError):
@@ -101,7 +101,7 @@ _TOLD_EVERY = 20
 
 @contextmanager
 def compiling_shown(what: str, about: int) -> Iterator[None]:
-    """Print how far it is with what is compiled within the block; nothing where nothing is.
+    """Print the progress of compilation within the block; nothing if nothing is compiled.
 
     Args:
         what: is compiled.

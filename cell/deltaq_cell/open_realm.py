@@ -15,7 +15,7 @@ CROSSES_IN_CLEAR = (
     "tls/ in place of tcp/ if clients have identities, put a tunnel between the machines, or listen on 127.0.0.1 and "
     "let clients come over lines with TLS (`tcp_address`)"
 )
-"""What there is to say of an `hli` that leaves the loopback, where clients have to prove who they are."""
+"""Findings about an `hli` address off the loopback, where clients must prove an identity."""
 
 
 def off_loopback(cell: CellDescription) -> tuple[str, str] | None:

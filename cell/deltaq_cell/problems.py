@@ -11,13 +11,13 @@ from deltaq_protocol.errors import DeltaqError, Severity
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing that is wrong in a cell description.
+    """One fault in a cell description.
 
     Attributes:
         file: name of the file it is in.
         line: line in that file, from 1; 0 where the file as a whole is meant.
         field: path of the field, e.g. `robots.fr.joints.a1.home_deg`; empty for the whole file.
-        message: what is wrong, what is allowed, what to do.
+        message: the fault, the allowed values, the remedy.
         value: the given value, if a single value is at fault.
         bound: the allowed value, if there is a bound.
         suggestion: the name that was probably meant.

@@ -1,4 +1,4 @@
-"""Distances between the swept bodies of a cell, as coal measures them: the paper's CRASH, made to certify tubes.
+"""Distances between swept bodies of a cell, measured by coal: the paper's CRASH, extended to certify tubes.
 
 Every robot is placed at the middle of a box in joint space, and every body of it is inflated by how far any
 of its points can travel while the joints stay in that box. The distance that coal then measures between two
@@ -27,7 +27,7 @@ from deltaq_protocol.arrays import Array
 
 
 class SelfGroups:
-    """Links of a robot against each other: only joints that move one and not the other make them travel.
+    """Pairs of links of one robot: their relative travel comes only from the joints between them.
 
     The bodies are clones, since their radii differ from the ones against the rest of the world.
 
@@ -56,7 +56,7 @@ class SelfGroups:
         self._joints = np.array(joints).reshape(len(joints), bodies.moved_by.shape[1])
 
     def inflate(self, travel: Array) -> Array:
-        """Inflate the clones by their share of `travel`, (bodies, n) [m]; returns by how much, (clones,) [m]."""
+        """Inflate the clones by their part of `travel` (bodies, n) [m]; returns their inflation (clones,) [m]."""
         radii: Array = (travel[self.sources] * self._joints).sum(axis=1)
         for shape, radius in zip(self._shapes, radii.tolist(), strict=True):
             shape.setSweptSphereRadius(radius)
@@ -68,7 +68,7 @@ def _clone(item: Any) -> Any:
 
 
 class ProximityEngine:
-    """All bodies of a cell, placed and inflated at will, and measured by coal.
+    """All bodies of a cell; the caller places and inflates them, coal measures their distances.
 
     Attributes:
         model: all robots in one, in the cell's order.
@@ -146,7 +146,7 @@ class ProximityEngine:
                 yield group
 
     def pair(self, group: Group, index: int) -> Group:
-        """One pair of a group as a group of its own, whose stop distance is the caller's to set.
+        """One pair of a group as a new group; the caller may set its stop distance.
 
         Args:
             group: one of those in `alone` or `between`.

@@ -1,4 +1,4 @@
-"""How far robots can reach, whatever their joints do: robots that are out of each other's reach need not be compared.
+"""Bounds of robots' reach: robots out of each other's reach need no distance checks.
 
 The frame of a joint lies as far from that of the joint before as it is mounted, and a prismatic joint adds its
 position. So by the triangle inequality no point of a body is farther from the first joint's place than the sum of these

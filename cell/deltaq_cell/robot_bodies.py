@@ -1,4 +1,4 @@
-"""Bodies as coal geometry: those of a robot's URDF, what is bolted to it, and what stands in the cell."""
+"""Bodies as coal geometry: those of a robot's URDF, bodies fixed to it, and the cell's structure."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Lines of sight among the bodies of a cell: which bodies stand between an eye and what it looks at.
+"""Lines of sight in a cell: the bodies between a camera and its target.
 
-A line is a thin rod. Of all bodies only those whose bounding sphere it passes are measured, by coal.
+A line is a thin rod. Coal measures only bodies whose bounding sphere it meets.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ ROD_M = 5e-4
 """Radius of the rod that stands for a line [m]."""
 
 NEAR_EYE_M, NEAR_TARGET_M = 0.005, 0.01
-"""How far from eye and target a line begins and ends: lenses have housings, and tools touch what they hold [m]."""
+"""Distance of the line's ends from lens and target [m]: lenses have housings, and tools touch their workpieces."""
 
 _SLANT = 1e-6
 """Length square to the line below which a way out of a body is along the line, and tells no side."""

@@ -1,4 +1,4 @@
-"""A URDF as pinocchio reads it, after its numbers were judged and what pinocchio does not take was put otherwise."""
+"""Prepares a URDF for pinocchio: checks its numbers, and rewrites elements that pinocchio does not accept."""
 
 from __future__ import annotations
 
@@ -260,8 +260,7 @@ def _numbers(
 ) -> list[float]:
     """The numbers of an attribute; `default` if there is none and it may be left out.
 
-    Raises:
-        RobotModelError: it is missing, or not so many numbers.
+    Raises: RobotModelError: it is missing, or has another count of numbers.
     """
     text = element.get(attribute)
     if text is None and default is not None:

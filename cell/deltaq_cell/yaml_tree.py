@@ -216,7 +216,7 @@ def parse(text: str, file: str) -> YamlNode:
 
 
 def _check_nesting(text: str, file: str) -> None:
-    """Refuse what PyYAML would compose until the process's stack is full, or not as it is meant."""
+    """Refuse text that is nested so deeply that PyYAML would overflow the stack or misread it."""
     around: list[str | None] = []
     anchors: set[str] = set()
     for event in yaml.parse(text, Loader=_CoreSchema):
@@ -299,7 +299,7 @@ class _Located:
         return {**merged, **own}
 
     def _merge(self, merged: dict[str, YamlNode], value: yaml.Node, line: int) -> None:
-        """`<<`: what the mapping does not say itself, it takes from these, of several from the first."""
+        """`<<`: add the keys that the mapping does not have; of several sources the first one counts."""
         for source in value.value if isinstance(value, yaml.SequenceNode) else [value]:
             if not isinstance(source, yaml.MappingNode):
                 raise _error(

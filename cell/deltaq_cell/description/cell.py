@@ -1,4 +1,4 @@
-"""The cell: its robots, what stands in it, and what its gate keeps."""
+"""The description of a cell: robots, structure, gate."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class ContactDescription(DescriptionModel):
 
 
 MOST_LOOKAHEAD_CYCLES = 8
-"""Each course that a robot may take is certified, and there is one for each admission in flight."""
+"""Greatest lookahead: the gate certifies one trajectory for each admission in flight."""
 
 
 class GateDescription(DescriptionModel):
@@ -112,13 +112,15 @@ class CellDescription(DescriptionModel):
     tcp_port: Annotated[int, Field(ge=1, le=65535)] = 5210
     """Where the HLI serves JSON lines."""
     clients_need_tokens: bool = False
-    """Whether the HLI starts only with an operator's and a controller's token, and lets nobody else move a robot."""
+    """Whether the HLI starts only with an operator's and a controller's token, and only clients with a token may
+    move a robot.
+    """
     anyone_who_connects_may_move_the_robots: bool = False
     """Whether the HLI may listen on other addresses than this machine's loopback though clients need no tokens."""
     console_address: str = "127.0.0.1"
     console_port: Annotated[int, Field(ge=1, le=65535)] = 7480
     """Where the console serves browsers."""
     lease_s: Positive = 1.0
-    """How long a lease lasts while its holder is silent; whatever the holder sends renews it."""
+    """How long a lease lasts while its holder is silent; any message of the holder renews it."""
     max_playout_s: Annotated[float, Field(gt=0, le=5)] = 1.0
     """How long an increment may be under way and wait for its turn, where a lease asks for a playout buffer."""

@@ -25,7 +25,7 @@ from deltaq_cell.description.bodies import (
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Name
 
-# One joint: its limits, and what the gate may ask of it.
+# One joint: its limits, and the part of them that the gate uses.
 
 
 class JointDescription(DescriptionModel):

@@ -17,7 +17,7 @@ Integers = NDArray[np.int64]
 
 
 class Anatomy(NamedTuple):
-    """What of a cell stays as it is.
+    """The constant data of a cell: its kinematic tree and its bodies.
 
     Attributes:
         parent: (joints,) the joint before each, -1 for none.
@@ -129,12 +129,12 @@ class PlacedBody(NamedTuple):
 
 
 class Pairs(NamedTuple):
-    """Pairs of bodies to be looked at.
+    """Pairs of bodies to be checked.
 
     Attributes:
         first: (pairs,) number of the one body.
         second: (pairs,) number of the other.
-        stop_m: (pairs,) what they have to keep [m].
+        stop_m: (pairs,) stop distances [m].
         active: (pairs,) whether they are looked at now.
     """
 

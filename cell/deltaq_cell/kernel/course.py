@@ -1,4 +1,4 @@
-"""The kernel's courses: what a robot is sent if it takes a share of a request, and the brake after it.
+"""Courses: the setpoints of a robot that executes a share of a request, and of the brake after it.
 
 `deltaq_services.sim.tube` and `deltaq_protocol.brake` say the same in plain words; tests hold them together to the bit.
 """
@@ -19,7 +19,7 @@ _ROUNDING = 1e-9
 
 
 class Course(NamedTuple):
-    """Every course between a brake and a request, by its share of the request.
+    """The setpoints of a robot for every share from a brake (0) to a request (1).
 
     Attributes:
         points: (k, n) setpoints: those before the share, and room for those after it [rad or m].
@@ -52,7 +52,7 @@ class Course(NamedTuple):
 
 @compiled
 def lay_course(course: Course, share: float) -> Tube:
-    """The tube of a course; its points are those of `course`, and are good until another share is laid.
+    """The tube of a course at a share; its points are a view of `course`, valid until the next call.
 
     Raises:
         IndexError: if there is no room for the setpoints of its brake.

@@ -28,12 +28,12 @@ from deltaq_protocol.arrays import Array
 
 
 class TubesCertified(NamedTuple):
-    """What came of a certificate.
+    """Result of a certification.
 
     Attributes:
-        holds: whether every pair keeps what it has to, anywhere in the tubes.
+        holds: whether every pair keeps the requested distance anywhere in the tubes.
         left: what is left of the budget.
-        told: index of the pair with the least room, in the first look or in that which failed; -1 for none.
+        told: index of the pair with the least room, in the first look or in the failing one; -1 for none.
         travel_m: how far the two bodies travel together in that look [m].
         least_m: bound of their room from below [m].
         most_m: and from above [m].
@@ -67,7 +67,7 @@ def certify(
     stack: Stack,
     found: Findings,
 ) -> TubesCertified:
-    """Whether pairs keep `room_m` beyond their stop distance anywhere in two tubes, or in one.
+    """Certify that pairs keep `room_m` beyond their stop distance anywhere in two tubes, or in one.
 
     Args:
         cell: what stays.
@@ -75,7 +75,7 @@ def certify(
         mine: tube of one robot.
         theirs: tube of another; without points, all pairs are of the one robot and what stands.
         pairs: of the cell, or some; every stop distance and `room_m` together are positive.
-        asked: (k,) indices of those that are asked about, if they are active.
+        asked: (k,) indices of the pairs to be certified; inactive ones are skipped.
         room_m: what is asked for [m].
         budget: how many pairs may be searched in parts of the tubes and be followed by others.
         tells: whether the pair with the least room is asked for also where all have theirs.
@@ -243,7 +243,7 @@ def certify_all(
     found: Findings,
     told: Told,
 ) -> tuple[int, int, bool, int, int]:
-    """Whether a robot keeps `room_m` beyond every stop distance in its whole tube.
+    """Certify that a robot keeps `room_m` beyond every stop distance in its whole tube.
 
     Args:
         cell: what stays.
@@ -297,7 +297,7 @@ def largest_share(
     found: Findings,
     told: Told,
 ) -> tuple[float, int]:
-    """Largest share of a request found that is certified, as `deltaq_services.sim.certificate` finds it.
+    """Largest certified share of a request that the search finds, as in `deltaq_services.sim.certificate`.
 
     Beyond what `certify_all` takes, which does not write to `told` here:
 
@@ -367,7 +367,7 @@ def _largest_kept(
     stack: Stack,
     found: Findings,
 ) -> tuple[float, int]:
-    """Largest share below `refused` found at which suspects keep apart, 0 if none is; and what is left of the budget.
+    """Largest share below `refused` found at which the suspects keep apart, 0 if none; and the remaining budget.
 
     The least is tried first: where a robot stands right before an obstacle it is refused, and nearly always all others.
     """
@@ -430,7 +430,7 @@ def _keep(
     stack: Stack,
     found: Findings,
 ) -> tuple[bool, int]:
-    """Whether suspects keep apart at a share, and what is left of the budget."""
+    """Whether the suspects keep apart at a share, and the remaining budget."""
     mine = lay_course(course, share)
     for one in range(sets):
         asked = suspected.pairs[suspected.end[one] : suspected.end[one + 1]]

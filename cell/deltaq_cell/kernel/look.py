@@ -1,7 +1,7 @@
 """One look of the gate at many pairs of bodies.
 
-`look` measures bodies that are inflated by their travel, pair by pair; what that leaves open `separate` judges by
-planes, first those that stand and then those that turn. Balls and boxes leave most pairs out, planes between the bodies
+`look` measures bodies that are inflated by their travel, pair by pair; `separate` checks the open pairs by planes,
+first fixed ones and then turning ones. Balls and boxes leave most pairs out, planes between the bodies
 at the middle nearly all others (`deltaq_cell.kernel.gap`): a pair is left out only by a lower bound, rounding taken
 off, that exceeds what is asked.
 """
@@ -182,7 +182,7 @@ def apart(cell: Anatomy, placed: Placed, first: int, second: int) -> tuple[float
     return best, nx, ny, nz
 
 
-# Planes, as docs/explanation/the-gate.md derives them: first one that stands still while the bodies move through the
+# Planes, as docs/explanation/the-gate.md derives them: first one that is fixed while the bodies move through the
 # span, then one that turns with either body.
 
 
@@ -253,7 +253,7 @@ def _shown_by_standing(
     asked_m: float,
     twist: Array,
 ) -> bool:
-    """Whether a plane that stands, with the normal n, shows what is asked."""
+    """Whether a fixed plane with the normal n shows the requested distance."""
     mine = theirs = both = -math.inf
     here = there = 0.0
     for vertex in range(max(ones, others)):
@@ -283,7 +283,7 @@ def _shown_by_turning(
     twist: Array,
     other_twist: Array,
 ) -> bool:
-    """Whether a plane that turns with a body shows what is asked; n points from that body to the other."""
+    """Whether a plane that turns with a body shows the requested distance; n points from that body to the other."""
     square = 0.0
     for vertex in range(ones):
         wx, wy, wz = twist[vertex, 3], twist[vertex, 4], twist[vertex, 5]

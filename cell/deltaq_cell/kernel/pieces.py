@@ -53,7 +53,7 @@ class Tube(NamedTuple):
 
 
 class Stack(NamedTuple):
-    """Pieces that are still to be looked at, and what was looked at last.
+    """Pieces that are still to be checked, and scratch memory of the last one.
 
     Attributes:
         window: (rows, 2, 2) first and last window of each piece; of a part of a span the first is -1.

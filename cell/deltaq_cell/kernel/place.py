@@ -63,7 +63,7 @@ def spread(
     vertices: int,
     deviation: Array,
 ) -> None:
-    """Say which span a robot is in, within the box at whose middle it was placed.
+    """Set the span of a robot within the box at whose middle it was placed.
 
     Args:
         cell: what stays.

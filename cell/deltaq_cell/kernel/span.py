@@ -1,4 +1,4 @@
-"""The kernel's spans of joint space: the hull of a few setpoints of a course, as wide as the others lie beside it.
+"""Spans of joint space: the hull of a few setpoints of a course, widened until it holds all others.
 
 Drives are not exactly in the hull of their setpoints. `beside` bounds how far a joint may be beside it, and `off_hull`
 tells how far a measured robot is.
