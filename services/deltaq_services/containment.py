@@ -1,6 +1,6 @@
-"""Cores as values: a copy of one goes on as it would have, and after an error one is put back to what it was.
+"""Copies of cores: a copy behaves like its original, and after an error a core is restored.
 
-A message that a core fails on is then as one that was lost on its way, which every core has to bear at any time.
+A message on which a core fails then counts as lost, which every core must tolerate at any time.
 
 A snapshot before each message would cost a fifth of what the message costs, copies of the attributes cost a sixth of
 that: their values are never written to, and where they are lists, maps, sets or deques these are copied too.
@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Self
 
 _WRITTEN_TO = (list, dict, set, deque)
 _MOST_PLACES = 64
-"""Places in the code whose errors are told apart; with more of them the log is full enough."""
+"""Number of places in the code whose errors are logged separately."""
 
 
 class Part:
@@ -29,7 +29,7 @@ class Part:
     aside: ClassVar[frozenset[str]] = frozenset()
 
     def snapshot(self) -> Self:
-        """A copy, for `restore`; counters, callables and what is `aside` are those of this one."""
+        """A copy, for `restore`; counters, callables and attributes in `aside` are shared, not copied."""
         copy = object.__new__(type(self))
         copy.__dict__.update((name, _copied(value)) for name, value in self.__dict__.items())
         return copy
@@ -55,7 +55,7 @@ def _copied(value: Any) -> Any:
 
 
 class Containment:
-    """Puts the objects that make up a core back to what they were.
+    """Restores the objects of a core after an error.
 
     Args:
         parts: the objects, as they are now. Their attributes are values, and flat containers of values that are there
@@ -76,7 +76,7 @@ class Containment:
         self.traceback = ""
 
     def remember(self) -> None:
-        """Remember what the parts are now."""
+        """Remember the present state of the parts."""
         kept = []
         for part in self._parts():
             attributes = part.__dict__.copy()
@@ -91,7 +91,7 @@ class Containment:
         self._kept, self.failed = kept, False
 
     def put_back(self) -> None:
-        """Make the parts what they were when `remember` was called last."""
+        """Restore the parts to the last call of `remember`."""
         for part, attributes in self._kept:
             vars(part).clear()
             vars(part).update(attributes)

@@ -1,4 +1,4 @@
-"""The table of counters: everything that a service counts, and what it means.
+"""The table of counters: all counters of all services, and their meaning.
 
 The reference is written from it; a test fails if a counter has no row. Braces mark a variable part, which is filled
 in: such a name is one row. Counts run from the start of the process.

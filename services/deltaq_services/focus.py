@@ -10,10 +10,10 @@ from deltaq_protocol.messages.motion import AIM_M
 
 
 def focus_of(target: ViewTarget, T_world_tool: ToolPose | None) -> Vector3 | None:
-    """A target in the world [m]; None if it is on a tool that was not heard.
+    """Position of a target in the world [m]; None if it is on a tool whose pose is unknown.
 
     Args:
-        target: what a camera looks at.
+        target: the target of a camera.
         T_world_tool: pose of the tool of the robot that the target names.
     """
     if target.focus_m is not None:

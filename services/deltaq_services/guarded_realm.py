@@ -1,7 +1,8 @@
 """zenoh sessions of the guarded realm: over Unix sockets on one machine, over mutual TLS on several.
 
 On one machine the sockets lie in a folder of mode 0700, so that the kernel lets no other user connect. On several each
-service has a certificate, and zenoh's access control hears it only under the keys that the table of topics gives it.
+service has a certificate, and zenoh's access control accepts its messages only under the keys that the table of
+topics allows.
 """
 
 from __future__ import annotations
@@ -100,11 +101,11 @@ def open_guarded_session(
         party: what the service is in the table of topics.
         service: its name.
         listen: services whose endpoints it listens at: none, or itself.
-        connect: services to connect to, for ever.
+        connect: services to connect to; lost connections are made again.
         robot: the only robot that it serves; `*`: all.
 
     Raises:
-        GuardedRealmError: an endpoint lets strangers in, or uses TLS and there is no identity.
+        GuardedRealmError: an endpoint is open to other users, or uses TLS and there is no identity.
         IdentityError: the identity belongs to another service, or is not valid.
         RuntimeFolderError: the folder of the sockets is not this user's alone.
         ServiceUnreachableError: the session cannot listen on an endpoint.
@@ -126,7 +127,7 @@ def open_watching_session(cell: CellDescription, watched: str, others: Sequence[
         others: further endpoints to connect to.
 
     Raises:
-        GuardedRealmError: an endpoint lets strangers in, or uses TLS and there is no identity.
+        GuardedRealmError: an endpoint is open to other users, or uses TLS and there is no identity.
         IdentityError: the identity is not valid.
         RuntimeFolderError: the folder of the sockets is not this user's alone.
         ServiceUnreachableError: no service answers there.

@@ -29,7 +29,7 @@ class ClientOrigin:
 
 
 NOBODY = ClientOrigin()
-"""The server itself, or who is not known."""
+"""The server itself, or an unknown sender."""
 
 
 class Sender(ABC):

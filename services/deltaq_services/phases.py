@@ -16,7 +16,7 @@ class Event(StrEnum):
     """An event of a robot."""
 
     LINKED = "linked"
-    """The KRC and the gate were both heard for the first time; how the KRC ticks and takes corrections is known."""
+    """First messages of KRC and gate have come; the KRC's cycle and its mode of corrections are known."""
     ADMITTED = "admitted"
     """An admission of the gate was taken."""
     STARVED = "starved"

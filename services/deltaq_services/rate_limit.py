@@ -99,7 +99,7 @@ class RateLimit(Part):
 # Guessing at tokens, kept slow. Plain decisions; the shell passes the time in.
 
 MOST_TRIES_S = 3.0
-"""Wrong tokens a second of one peer; what comes beyond is not compared."""
+"""Wrong tokens a second of one peer; further tokens are not compared."""
 _MOST_PEERS = 256
 
 
@@ -120,7 +120,7 @@ class Tries:
         self._rates.setdefault(address, RateLimit(MOST_TRIES_S)).take(time_s)
 
 
-# Keeping the pace that the table of topics sets, for whoever publishes by the clock.
+# The pace of a topic, for publishers that go by the clock.
 
 _EARLY = 0.25
 """Share of a period that a message may come early, so that two clocks of one pace do not miss every other beat."""

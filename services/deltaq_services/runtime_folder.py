@@ -1,4 +1,4 @@
-"""The folder of a user's running services, which nobody else can enter."""
+"""The folder of a user's running services; other users cannot enter it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def runtime_folder() -> Path:
     """The folder, made if need be: in `XDG_RUNTIME_DIR`, or where that is not set, in the system's temporary folder.
 
     Raises:
-        RuntimeFolderError: if it cannot be made, or belongs to somebody else, or somebody else may enter it.
+        RuntimeFolderError: if it cannot be made, belongs to another user, or other users may enter it.
     """
     given = os.environ.get("XDG_RUNTIME_DIR")
     folder = (

@@ -24,7 +24,7 @@ def service_identity(cell: CellDescription, folder: Path, service: str) -> Ident
     """The identity of a service, from its folder or the one above.
 
     Raises:
-        IdentityError: if there is none, it is another's, or not valid.
+        IdentityError: if there is none, it belongs to another service, or is not valid.
     """
     identity = _of_cell(cell, _own(folder, service))
     if identity.kind is not IdentityKind.SERVICE:

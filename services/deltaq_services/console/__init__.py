@@ -1,1 +1,1 @@
-"""The operator's console: what an operator sees and holds, in a browser; a client of the HLI like any other."""
+"""The operator's console in a browser; a client of the HLI like any other."""

@@ -1,11 +1,11 @@
-"""One browser, as the core knows it, and how old its messages are, whatever time its clock shows.
+"""One browser in the core, and the age of its messages, independent of its clock's time.
 
-A message says when it was sent on its sender's clock. The difference to the time of its arrival is the clocks' offset
-and the way that it took; the least difference of the last seconds is the offset with the shortest way. What a message
-has above that, it was late. Clocks that are an hour apart make no difference, and neither does their slow drift.
+A message says when it was sent on its sender's clock. The difference to the time of its arrival is the clocks'
+offset plus the delay; the least difference of the last seconds is the offset plus the shortest delay. A message is
+late by the rest of its difference. Neither an offset of an hour nor a slow drift of the clocks matters.
 
-The least difference is kept by the second. A line that stands still brings nothing, so no second of it counts: what
-then comes at once, in one second, is measured against what came before it.
+The least difference is kept by the second. Seconds in which the connection stalls bring no message and do not count,
+so a burst after a stall is compared with the time before it.
 """
 
 from __future__ import annotations
@@ -54,14 +54,14 @@ class Client:
 
     Attributes:
         number: of its connection, different from every other.
-        name: by which others see it.
-        is_operator: it may command; one that may not looks, and stops.
+        name: its name for others.
+        is_operator: whether it may command; other clients may only look and stop.
         address: it connects from.
         clocks: its clock against this one.
         rate: bounds the rate of its messages.
         shows_replay: it shows a recording, and commands nothing but a stop.
-        session: by which its page is known again when it is loaded anew; empty for none.
-        page: tells the page of this session from one that was loaded before or beside it.
+        session: identifies its page after a reload; empty for none.
+        page: distinguishes this page from others of the same session.
         given_name: the name that it gave itself.
     """
 

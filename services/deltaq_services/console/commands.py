@@ -1,8 +1,8 @@
-"""What browsers send to the console, as JSON.
+"""Messages from browsers to the console, as JSON.
 
-Times named `_ms` are milliseconds of the clock of whoever wrote them; all else is in SI units. A command is answered
-with one `ack` that carries its `id`; the same `id` twice is done once and answered twice. What it means that a command
-expires is in `deltaq_services.console.client`.
+Times named `_ms` are milliseconds of the sender's clock; all else is in SI units. A command is answered
+with one `ack` that carries its `id`; a repeated `id` is executed once and answered twice.
+`deltaq_services.console.client` defines when a command expires.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ CommandId = Annotated[str, Field(min_length=1, max_length=64)]
 
 
 class ConsoleCommand(Message):
-    """Base of what a browser sends."""
+    """Base of messages from a browser."""
 
     id: CommandId
     sent_ms: Real
@@ -81,9 +81,9 @@ class Reset(ConsoleCommand):
 
 
 class LeaseVerb(StrEnum):
-    """Actions on a robot's lease: `ask` its holder for it, who answers with `grant` or `refuse`.
+    """Actions on a robot's lease: `ask` the holder, who answers with `grant` or `refuse`.
 
-    A holder outside this console cannot be asked: `take_over` takes the lease from it, against its will.
+    A holder outside this console cannot be asked; `take_over` takes the lease from it.
     """
 
     TAKE = "take"
@@ -122,12 +122,13 @@ class SetMaster(ConsoleCommand, driving.ChooseMaster):
 
 
 class Jog(ConsoleCommand):
-    """A wish to move, which ends by itself after 0.25 s unless it is renewed by the next one.
+    """A motion command; it ends after 0.25 s unless the next one renews it.
 
-    Without `hand` the wish is a speed for each joint, (n,) [rad/s or m/s]; with it a twist of that hand, (6,): three
-    linear [m/s] and three angular [rad/s] in the axes of the mode's frame. A `hand` of `*` is all of them, or the
-    object between them. `led` has the master lead that hand, in place of a wish. `option` is the rank of a way, held
-    down. `cycles` makes the wish a step, which lasts so many of the robot's cycles and is not renewed.
+    Without `hand` it is a speed for each joint, (n,) [rad/s or m/s]; with it a twist of that end effector, (6,):
+    three linear [m/s] and three angular [rad/s] in the axes of the mode's frame. A `hand` of `*` is all of them, or
+    the
+    object between them. `led`: the master leads that end effector instead. `option` is the rank of a path whose
+    button is held down. `cycles` makes the command a step of so many cycles of the robot, which is not renewed.
     """
 
     type: Literal["jog"]

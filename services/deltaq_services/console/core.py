@@ -1,6 +1,6 @@
-"""What the console decides: who may ask for what, what goes where, and what browsers are told. No clock, no socket.
+"""The console's decisions: rights of clients, requests to drivers and to the HLI, messages to browsers.
 
-Times are handed in: `now_s` of one clock, which frames and pongs show as the server's.
+No clock, no socket. The caller passes times: `now_s` of one clock, which frames and pongs show as the server's.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from deltaq_services.console.status_board import EventLog, RecordingDesk, Status
 _WAITED_FOR = (LeaseVerb.TAKE, LeaseVerb.TAKE_OVER, LeaseVerb.RELEASE)
 MOST_CLIENTS = 32
 AWAY_S = 5.0
-"""A page that is loaded anew within this keeps its name and its robots, which rest meanwhile."""
+"""A page that is reloaded within this time keeps its name and its robots, which rest until then."""
 
 
 class ConsoleCore:
@@ -58,16 +58,16 @@ class ConsoleCore:
         bodies: names of its bodies, as the scene lists them.
         token_needed: whether a client without the token is an observer.
         has_recordings: whether it was given a folder for recordings.
-        process: what tells this console from one that was started before it.
+        process: distinguishes this console process from earlier ones.
         name: of the cell or its file, as commands take it.
 
     Attributes:
         clients: connected browsers, by the number of the connection.
         counters: of what browsers sent.
         robots: each robot's side.
-        picture: what is seen of the cell.
-        stop: how far the newest stop is.
-        board: what browsers are told when it changes.
+        picture: the camera views of the cell.
+        stop: the progress of the newest stop.
+        board: the status that browsers get when it changes.
         desk: the recording that is being written.
     """
 
@@ -106,7 +106,7 @@ class ConsoleCore:
         """A browser has connected; no client if there are too many."""
         again = next((one for one in self.clients.values() if session and one.session == session), None)
         if again is not None and page and again.page == page:
-            # the page has given its line up, and that line's end was not heard yet
+            # the page has given up its connection, and the end of that connection was not seen yet
             self._away[session] = (now_s, self.clients.pop(again.number))
             self.board.forget(again)
         if len(self.clients) >= MOST_CLIENTS:
@@ -193,7 +193,7 @@ class ConsoleCore:
     def answered(
         self, request: str, done: bool, text: str, now_s: float, verdict: Verdict | None = None
     ) -> list[ConsoleOutput]:
-        """The HLI's answer to a request, or why there is none."""
+        """Take the HLI's answer to a request, or the reason why there is none."""
         client, command, asked = self._pending.answered(request)
         assert isinstance(asked, AskHli)
         if asked.kind == "stop":
@@ -292,7 +292,7 @@ class ConsoleCore:
         self.counters["stops"] += 1
         self.stop.ask(client.name)
         self._log.add(now_s, "stop", f"{client.name} pressed STOP")
-        # whom this console drives rests, even if the HLI does not hear of it
+        # robots that this console drives come to rest even if the HLI cannot be reached
         rest = [
             ToDriver(side.name, driving.GiveCommand())
             for side in self.robots.values()
@@ -324,7 +324,7 @@ class ConsoleCore:
         return self._command(client, command, now_s)
 
     def _replay(self, client: Client, shown: bool) -> list[ConsoleOutput]:
-        """A browser shows a recording from now on, or no more: what it drives rests and is released, for others."""
+        """A browser begins or ends showing a recording: the robots that it drives rest and are released."""
         client.shows_replay = shown
         return self._leave(client) if shown else []
 
@@ -336,7 +336,7 @@ class ConsoleCore:
         return outputs
 
     def _rest(self, client: Client) -> list[ConsoleOutput]:
-        """A client's page is gone, maybe for a moment: what it drives rests; what moves by itself is released."""
+        """A client's page is gone, maybe for a moment: its robots rest; robots in automatic modes are released."""
         outputs: list[ConsoleOutput] = []
         for side in self.robots.values():
             if side.seat.holder is not client:
@@ -348,7 +348,7 @@ class ConsoleCore:
         return outputs
 
     def _command(self, client: Client, command: RobotCommand, now_s: float) -> list[ConsoleOutput]:
-        """Carry out what an operator asks of a robot, or raise `ValueError` with the reason why not."""
+        """Carry out an operator's command to a robot, or raise `ValueError` with the reason why not."""
         side = self.robots.get(command.robot)
         if side is None:
             raise ValueError(
@@ -360,7 +360,7 @@ class ConsoleCore:
             return self._pending.ask(client, command.id, AskHli("dry_run", side.name, side.checked(command)))
         if isinstance(command, LeaseCommand):
             return self._lease(client, command, side, now_s)
-        if isinstance(command, ViewCommand):  # for whoever follows with the robot, here or elsewhere
+        if isinstance(command, ViewCommand):  # for the robot's camera follower, here or elsewhere
             asked = AskHli("view", side.name, view=side.view_of(command))
             return self._pending.ask(client, command.id, asked)
         if not side.seat.is_held_by(client):
@@ -389,7 +389,7 @@ class ConsoleCore:
         if command.action is LeaseVerb.TAKE_OVER and not handled.is_done:
             from_whom = side.outside_holder or "nobody"
             self._log.add(now_s, "lease", f"{client.name} takes {side.name} from {from_whom}", side.name)
-        # who grants a robot is not told when it was taken by another
+        # a client that grants a robot gets no message when another client has taken it
         waits = client if command.action in _WAITED_FOR else None
         outcome = AckOutcome.ASKED if waits is not None and not handled.is_done else AckOutcome.DONE
         sent = self._pending.send(handled.requests, waits, command.id)

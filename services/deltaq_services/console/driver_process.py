@@ -158,7 +158,7 @@ class DriverProcess:
         """Ask it for something; it is started if it does not run."""
         if not self._child.is_running:
             if request.id is None:
-                return  # nobody moves
+                return  # no robot moves
             self._child.start(*self._command)
         self._child.write(request.model_dump_json().encode())
 

@@ -1,4 +1,4 @@
-"""What is heard of each robot, and the frame that shows it. Pure: whoever has a clock says when things came.
+"""The newest states and verdicts of each robot, and the frame that shows them. Pure: the caller passes the times.
 
 A frame is the binary message that a browser gets 25 times a second: where the robots are, little endian.
 
@@ -14,7 +14,7 @@ A frame is the binary message that a browser gets 25 times a second: where the r
     u16 a   u16 b    that pair
     f32 admission    share of the increments of the last second that were admitted whole; NaN without any
     f32 longest      longest time between two states in the last second [s]
-    f32[3] focus     what its camera looks at, in the world [m]; NaN without one
+    f32[3] focus     target of its camera, in the world [m]; NaN without one
     f32[n] q         measured [rad or m]
     f32[n] q_rest    where it would come to rest if it braked now [rad or m]
 
@@ -49,7 +49,7 @@ WINDOW_S = 1.0
 STALE_S = 0.25
 """A state that is older is shown as stale: twenty cycles of 12 ms."""
 VERDICT_S = 0.5
-"""A verdict that is older is no longer shown: nobody drives."""
+"""An older verdict is no longer shown: the robot has no driver."""
 
 CREEP = 0.001
 """Fraction of the joints' speed limits below which axes count as still: sensors are not without noise."""
@@ -68,7 +68,7 @@ def pack_frame(
         server_s: clock of the server [s].
         nearest: the nearest bodies of the cell; None if they are not known.
         bodies: place of each body in the scene's list, by name.
-        robots: what `RobotFeed.packed` has of each.
+        robots: the part of each robot, from `RobotFeed.packed`.
     """
     near = [NO_BODY, NO_BODY, math.nan, *_NAN3, *_NAN3]
     if nearest is not None:
@@ -79,12 +79,12 @@ def pack_frame(
 
 @dataclass(frozen=True)
 class RobotMotion:
-    """What a stop has to know of a robot.
+    """The motion of a robot, to judge the progress of a stop.
 
     Attributes:
-        phase: its phase; None while its states do not come: nothing is known then.
+        phase: its phase; None while no states come.
         reason: why it is held.
-        is_still: its setpoint and its axes stand still.
+        is_still: whether its setpoint and its axes are at rest.
     """
 
     phase: Phase | None
@@ -148,7 +148,7 @@ class RobotFeed:
 
         Args:
             now_s: time [s].
-            focus: what its camera looks at, in the world [m].
+            focus: target of its camera, in the world [m].
         """
         for waiting in (self._outcomes, self._gaps):
             while waiting and waiting[0][0] < now_s - WINDOW_S:
@@ -178,7 +178,7 @@ class RobotFeed:
 
     @property
     def is_still(self) -> bool:
-        """Whether the setpoint stands still and the axes do not follow it any more, as the two newest states say."""
+        """Whether setpoint and axes are at rest, by the two newest states."""
         return bool((self._dq == 0.0).all() and (np.abs(self._measured) < self._creep).all())
 
     def _rest(self, state: RobotState | None) -> Array:

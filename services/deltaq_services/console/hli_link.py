@@ -1,7 +1,7 @@
-"""The console's connection to the HLI: what is heard is kept as it came, and read 25 times a second.
+"""The console's connection to the HLI: messages are stored undecoded, and read 25 times a second.
 
-zenoh calls back in threads of its own. They only put bytes aside: to decode every state, or to wake the loop for it,
-would take processor time from the cell that is watched.
+Zenoh's threads only store the bytes: decoding every state, or waking the loop for it, would take processor time from
+the cell.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class RobotNews:
 
 
 class _Ear:
-    """Puts aside what comes of one robot; any thread may."""
+    """Stores the messages of one robot; callable from any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -107,7 +107,7 @@ class HliLink:
             await asyncio.to_thread(self._wire.close)
 
     async def asking(self) -> Asking:
-        """What asks the HLI; who wants it before there is a session waits for one."""
+        """The interface for queries to the HLI; waits until there is a session."""
         await self._entered.wait()
         return self._asking
 

@@ -1,4 +1,4 @@
-"""What browsers are told by the console, as JSON, and in which words; times as in `commands`."""
+"""Messages from the console to browsers, as JSON, and their wording; times as in `commands`."""
 
 from __future__ import annotations
 
@@ -130,11 +130,11 @@ class Bound(Message):
 class RobotStatusView(Message):
     """One robot's status for a browser. `driving` is the status of its driver in words.
 
-    `goes_through` is the fraction of the wish that mode and gate let through, in tenths; 1 where nothing limits.
-    `grip` is the one that was chosen; with an object, `hands_off` is there once the hands hold it. `master` leads a
-    hand when a wish says so, `master_scale` times its way; it is empty where none was chosen. `search` is there in
-    modes that offer ways; the ways themselves come in `WaysView`. `looks_at` is the target of its camera in words, and
-    `sight` how well that is seen, while a controller says so; `targets` are the robots that it was asked to look at.
+    `goes_through` is the executed fraction of the command, in tenths; 1 if nothing limits it.
+    `grip` is the chosen grip; `hands_off` is present once the end effectors hold an object. `master` names the robot
+    that leads an end effector, with its displacement times `master_scale`; empty if none was chosen. `search` is
+    present in modes that offer paths, which come in `WaysView`. `looks_at` is the target of its camera in words, and
+    `sight` how well the controller sees it, if it says so; `targets` are the robots that it was asked to look at.
     """
 
     phase: Phase
@@ -170,9 +170,9 @@ class WaysView(Message):
 
 
 class RecordingView(Message):
-    """What becomes of recordings: `file` is being written since `since_s`, which is None until it is.
+    """The state of recordings: `file` is being written since `since_s`, None before its first message.
 
-    `text` says what became of the last one.
+    `text` is the result of the last one.
     """
 
     file: str = ""
@@ -181,9 +181,9 @@ class RecordingView(Message):
 
 
 class ConsoleStatus(Message):
-    """What changes seldom; sent when it has changed, and once a second.
+    """The status of the cell; sent when it has changed, and once a second.
 
-    `hli` is False while the HLI is not heard: then `text` says why, `remedy` what to do, and all else is old.
+    `hli` is False while the HLI is silent: then `text` says why, `remedy` what to do, and all else is old.
     `recording` is None for a console that was given no folder for recordings.
     """
 
@@ -210,7 +210,7 @@ class ConsoleEvent(Message):
 
 
 def phase_words(state: RobotState | None, is_stale: bool) -> tuple[str, str]:
-    """What the state of a robot means, and what to do about it; empty if nothing is to be done."""
+    """The meaning of a robot's state and the remedy; empty if no action is needed."""
     if state is None:
         return "no state has come yet", "Check that its Robot Server and the HLI run: deltaq status."
     if is_stale:

@@ -52,7 +52,7 @@ ConsoleOutput = ToClient | AskHli | ToDriver | ToRecorder
 
 
 Awaited = tuple[Client | None, str, AskHli | ToDriver | None]
-"""Who waits, for which command, and what was asked; nobody, if nobody is to be told."""
+"""The waiting client, its command, and the request; None if no client waits."""
 
 
 class PendingRequests:
@@ -73,7 +73,7 @@ class PendingRequests:
         return [asked, acknowledged(client, command, AckOutcome.ASKED, "asked")]
 
     def send(self, requests: Iterable[ToDriver], client: Client | None, command: str) -> list[ConsoleOutput]:
-        """Send requests to drivers; wishes are not answered."""
+        """Send requests to drivers; motion commands get no answer."""
         sent: list[ConsoleOutput] = []
         for request in requests:
             sent.append(request)

@@ -24,13 +24,13 @@ from deltaq_services.focus import focus_of
 
 
 class Picture:
-    """What is seen of one cell.
+    """The camera views of one cell.
 
     Args:
         cell: its description.
         bodies: names of its bodies, as the scene lists them.
         robots: each robot's side.
-        log: where changes are told.
+        log: gets a line for each change.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class Picture:
         return pack_frame(now_s, self._nearest, self._places, robots)
 
     def _log_view(self, state: RobotState, arrived_s: float) -> None:
-        """Tell what a camera looks at, and how well it sees it, when either changes."""
+        """Log a camera's target, and how well it is seen, when either changes."""
         if state.target is None:
             self._views.pop(state.robot, None)
             return
@@ -95,7 +95,7 @@ class Picture:
             self._log.add(arrived_s, "view", SIGHTS[state.sight], state.robot)
 
     def _focus(self, name: str) -> Vector3 | None:
-        """What a robot's camera looks at, or would look at if nobody says: the tool that it is there to watch."""
+        """The target of a robot's camera; without a controller the tool that it watches by default."""
         state = self._robots[name].feed.state
         watched = self._watched.get(name)
         target = state.target if state is not None and state.target is not None else watched

@@ -1,4 +1,4 @@
-"""One robot in the core: what is heard of it, who drives it, and what a browser may ask of it."""
+"""One robot in the core: its newest messages, its operator, and the commands that a browser may send."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ MOST_M_S, MOST_RAD_S = 0.5, 1.5
 """Greatest speeds at which a hand is moved by hand [m/s, rad/s]."""
 _TWIST = 6
 _OF_DRIVER = ("mode", "frame", "grip", "hands_off", "master", "master_scale", "goes_through", "search")
-"""What a driver reports and its browser is told as it is."""
+"""Fields of a driver's report that go to its browser unchanged."""
 
 
 class RobotSide:
@@ -44,12 +44,12 @@ class RobotSide:
         others: the other robots of the cell, any of which can lead its hand.
 
     Attributes:
-        feed: what is heard of it.
-        seat: the seat of its operator.
+        feed: its newest messages.
+        seat: the session of its operator.
         report: the newest report of its driver; None while there is no driver.
-        ways: the ways that its driver offers now.
+        ways: the paths that its driver offers now.
         outside_holder: the holder of its lease according to the HLI.
-        bound: what bound the newest verdict that was not admitted whole.
+        bound: the limiting factor of the newest verdict that was not admitted whole.
     """
 
     def __init__(
@@ -202,7 +202,7 @@ class RobotSide:
         return command.dq
 
     def cannot_move(self, now_s: float) -> str:
-        """Why a wish to move would come to nothing now; empty if it would not."""
+        """Why a motion command would have no effect now; empty if it would have one."""
         state = self.feed.state
         if state is None or self.feed.is_stale(now_s):
             return f"no state of {self.name} comes: the picture is old"
@@ -219,7 +219,7 @@ class RobotSide:
         return RobotMotion(state.phase, state.reason, self.feed.is_still)
 
     def view(self, now_s: float) -> RobotStatusView:
-        """What a browser is told; whose lease it is, each is told for itself (`seen_by`)."""
+        """The robot's status for all browsers; `seen_by` adds to each whether it holds the lease."""
         state, report, seat = self.feed.state, self.report, self.seat
         text, remedy = phase_words(state, self.feed.is_stale(now_s))
         outside = self.outside_holder if self.outside_holder != seat.lease_name else None

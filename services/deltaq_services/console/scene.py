@@ -137,7 +137,7 @@ def _links(robot: RobotModel, meshes: dict[str, str]) -> Iterator[dict[str, Any]
     """The visual bodies by the link that has them; links that cannot move against one another stay apart."""
     links: dict[str, dict[str, Any]] = {}
     for body in robot.visual.geometryObjects:
-        # pinocchio numbers the bodies of a link; what the cell adds has its full name
+        # pinocchio numbers the bodies of a link; bodies that the cell adds have their full name
         is_bolted = body.name.startswith(f"{robot.name}/")
         name = body.name if is_bolted else f"{robot.name}/{body.name.rsplit('_', 1)[0]}"
         joint = int(body.parentJoint) - 1

@@ -1,7 +1,7 @@
-"""Who drives a robot from this console: one client at a time, and how the seat is handed over.
+"""The operator session of a robot: one client of this console at a time, and its handover.
 
-The robot's driver holds the lease in that client's name. What it was asked for is known to have happened when it has
-answered, so that nobody moves a robot in between.
+The robot's driver holds the lease in that client's name. A handover is complete when the driver has answered; no
+client moves the robot before that.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ class _Stage(Enum):
 
 @dataclass(frozen=True)
 class Handled:
-    """What became of a request.
+    """Result of a request.
 
     Attributes:
         requests: for the robot's driver.
-        refusal: why nothing was done; empty if something was, or will be.
+        refusal: why it was refused; empty if it was not.
         is_done: nothing is waited for.
-        told: for the log.
+        told: a line for the log.
     """
 
     requests: tuple[ToDriver, ...] = ()
@@ -43,7 +43,7 @@ class Handled:
 
 
 class Seat:
-    """The seat of one robot.
+    """The operator session of one robot.
 
     Args:
         robot: its name.
@@ -51,8 +51,8 @@ class Seat:
     Attributes:
         holder: the client that drives it, or is about to.
         wanted_by: the client that asks for it.
-        text: what became of the newest hand-over, in words.
-        lease_name: in which the lease was taken last; the HLI may tell it a moment longer than it is held.
+        text: result of the newest handover, in words.
+        lease_name: name under which the lease was taken last; the HLI may report it for a moment after its release.
     """
 
     def __init__(self, robot: str) -> None:
@@ -68,7 +68,7 @@ class Seat:
         return self.holder is client and self._stage is _Stage.HELD
 
     def handle(self, client: Client, action: LeaseVerb, request: Callable[[], str]) -> Handled:
-        """Do what a client asks about the lease; `request` makes the id by which the driver's answer is known."""
+        """Carry out a client's request about the lease; `request` makes the id that the driver's answer carries."""
         match action:
             case LeaseVerb.TAKE:
                 return self._take(client, request)
@@ -84,7 +84,7 @@ class Seat:
                 return self._refused_by(client)
 
     def leave(self, client: Client, request: Callable[[], str]) -> tuple[ToDriver, ...]:
-        """A client's connection has ended: what it drove comes to rest and is released."""
+        """A client's connection has ended: the robot comes to rest and is released."""
         if self.wanted_by is client:
             self.wanted_by = None
         if self._next is client:

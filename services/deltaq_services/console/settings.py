@@ -1,6 +1,6 @@
-"""The settings with which a console is started, and its door: who comes in is an operator, an observer, or nobody.
+"""The settings of a console, and its access control: the role of a client by its token.
 
-Plain decisions; the shell passes the time in.
+Pure: the shell passes the time.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ LOOPBACK_HOSTS = ("localhost", "127.0.0.1", "[::1]")
 
 
 CONSOLE_TOKEN = "DELTAQ_CONSOLE_TOKEN"
-"""Environment variable: makes an operator of the console of whoever knows it."""
+"""Environment variable: the token of the console's operators."""
 LEAST_CHARACTERS = 16
-"""Of the console's token: nobody guesses so long a one, where it was drawn by chance."""
+"""Least length of the console's token: a random one of this length cannot be guessed."""
 
 
 class NoTokenError(DeltaqError):
@@ -102,7 +102,7 @@ class Settings:
         return bool(self.token)
 
     def is_operator(self, token: str) -> bool:
-        """Whether who shows this token may command."""
+        """Whether this token allows commands."""
         return not self.token or hmac.compare_digest(token.encode(), self.token.encode())
 
 

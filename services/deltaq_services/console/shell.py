@@ -1,4 +1,4 @@
-"""The console's process: the clock, the ticks, and what the core wants done."""
+"""The console's process: the clock, the ticks, and the core's outputs."""
 
 from __future__ import annotations
 
@@ -61,9 +61,9 @@ _log = logging.getLogger(__name__)
 FRAME_S = 0.04
 """Time between two frames: 25 a second."""
 _ALONE_S = 0.5
-"""Time between two looks at the cell while nobody looks on."""
+"""Time between two polls of the cell while no browser is connected."""
 _TOLD_EVERY = 5
-"""Frames from one look at what else browsers have to be told to the next."""
+"""Number of frames between two checks for other messages to browsers."""
 _POLL_S = 0.5
 _NO_ANSWER_S = 5.0
 """Longer than a query takes to fail by itself."""
@@ -76,9 +76,9 @@ _NOT_TEXT = 1007
 
 
 class BrowserConnection:
-    """One browser's WebSocket: what it sends is handed to the core, what it is sent never makes another wait.
+    """One browser's WebSocket: its messages go to the core, and a slow browser delays no other.
 
-    Of frames only the newest waits to be sent. A browser that does not take its messages is disconnected.
+    Only the newest frame waits to be sent. A browser that does not take its messages is disconnected.
 
     Args:
         websocket: accepted.
@@ -144,7 +144,7 @@ class Console:
 
     Attributes:
         scene: what browsers draw.
-        core: what is decided.
+        core: makes the decisions.
         folder: of the recordings.
         reader: reads them for browsers.
     """
@@ -233,7 +233,7 @@ class Console:
         before = self.core.stop.phase
         try:
             self._carry_out(self.core.take(client, message, self.now_s()))
-        except Exception as error:  # the browser stays; what a message asks to move ends by itself
+        except Exception as error:  # the browser stays connected; the motion that it asked for ends by itself
             self._failed(error)
             text = EXPLANATIONS[ReasonCode.INTERNAL_ERROR]
             refused = Ack(id=id_in(message), outcome=AckOutcome.REFUSED, text=text)
@@ -242,7 +242,7 @@ class Console:
             self._carry_out(self.core.tick(self.now_s()))
 
     def _failed(self, error: Exception) -> None:
-        """Count an error that nobody foresaw, and log it once."""
+        """Count an unexpected error, and log it once."""
         self.core.counters["internal_errors"] += 1
         self._containment.note(error)
         self._containment.log_once(_log)
@@ -301,7 +301,7 @@ class Console:
         return None
 
     async def _ask_to_stop(self, asking: Asking, request: str, client: str) -> None:
-        """Ask until the HLI has heard it, what it answers then stands; or until a later stop is asked instead."""
+        """Ask for a stop until the HLI answers, or until a later stop takes its place."""
         self._newest_stop, late_s = request, self.now_s() + _CONFIRMED_S
         while True:
             try:
@@ -329,12 +329,12 @@ class Console:
             except Exception as error:  # the next tick may do better: an operator looks on
                 self._failed(error)
             ticks += 1
-            # what was missed is not made up for
+            # missed ticks are not repeated
             next_s = max(next_s + (FRAME_S if self._connections else _ALONE_S), time.monotonic())
             await asyncio.sleep(next_s - time.monotonic())
 
     def _show(self, now_s: float, ticks: int) -> None:
-        """Tell the browsers what is new."""
+        """Send the browsers all changes."""
         self._hear(now_s)
         if self._connections:
             frame = self.core.picture.frame(now_s)
@@ -371,7 +371,7 @@ class Console:
             self._failed(error)
 
     async def _poll(self) -> None:
-        """Ask for what is not published, again and again, whatever becomes of it."""
+        """Poll the HLI for all that it does not publish; errors do not end this."""
         while True:
             try:
                 async with asyncio.timeout(_NO_ANSWER_S):
@@ -381,13 +381,13 @@ class Console:
             except TimeoutError:
                 self.core.board.silent(f"no answer within {_NO_ANSWER_S:g} s", self.now_s())
             except Exception as error:
-                # of what nobody foresaw everything is told, and the next look may do better: an operator looks on
+                # an unexpected error is logged in full, and the next poll may succeed: an operator is watching
                 _log.exception("the HLI could not be asked")
                 self.core.board.silent(repr(error), self.now_s())
             await asyncio.sleep(_POLL_S)
 
     async def _look(self) -> None:
-        """Ask who holds leases, and for the digital signals."""
+        """Ask for the lease holders and the digital signals."""
         asking = await self._link.asking()
         status = await asking.ask(Status, topics.STATUS, DescribeRequest())
         theirs = CellIdentity.parse(status.identity)

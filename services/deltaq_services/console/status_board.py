@@ -1,4 +1,4 @@
-"""What browsers are told when it changes: the cell's status with stop and recording, and the log's lines."""
+"""The status that browsers get when it changes: the cell's, with stop and recording, and the log's lines."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from deltaq_services.console.outputs import ConsoleOutput, ToClient, ToRecorder
 from deltaq_services.console.robot_side import RobotSide
 
 KEPT = 200
-"""Newest lines, which a new client is told."""
+"""Number of newest lines that a new client gets."""
 QUIET_S = 2.0
-"""A line that comes again within this is counted, and told with its count when the time is over."""
+"""A line that repeats within this time is counted, and sent with its count at the end."""
 
 STATUS_S = 1.0
 """A status that has not changed is sent again after this."""
@@ -37,7 +37,7 @@ class EventLog:
         self._quiet: dict[tuple[EventKind, str, str], tuple[float, int, ConsoleEvent]] = {}
 
     def add(self, now_s: float, kind: EventKind, text: str, robot: str = "") -> None:
-        """A line, told at once."""
+        """Add a line; it is sent at once."""
         self._tell(ConsoleEvent(time_s=now_s, kind=kind, robot=robot, text=text))
 
     def repeat(self, now_s: float, kind: EventKind, group: str, text: str, robot: str = "") -> None:
@@ -78,8 +78,8 @@ class StopProgress:
     """The newest stop of any sender.
 
     Attributes:
-        phase: how far it is.
-        by: name of the client that asked; None if that was somebody outside this console.
+        phase: its progress.
+        by: name of the client that asked; None for a client outside this console.
     """
 
     def __init__(self) -> None:
@@ -99,10 +99,7 @@ class StopProgress:
             self.phase = StopPhase.STOPPING
 
     def see(self, robots: Mapping[str, RobotMotion]) -> None:
-        """The robots' newest states.
-
-        Robots that are held at rest confirm a stop that was asked for, whatever holds them: their KRC fell silent, too.
-        """
+        """Take the robots' newest states."""
         held = all(motion.phase in (Phase.HELD, Phase.OFFLINE) for motion in robots.values())
         stopped = any(_is_stopped(motion) for motion in robots.values())
         at_rest = all(motion.is_still or motion.phase is Phase.OFFLINE for motion in robots.values())
@@ -113,8 +110,8 @@ class StopProgress:
             self._seen_held = True
             self.phase = StopPhase.AT_REST if at_rest else StopPhase.STOPPING
         elif self._seen_held and not any(motion.phase is None for motion in robots.values()):
-            # somebody has reset one of them. The HLI's reply may come before the states that it speaks of, and nothing
-            # new is known of robots that are not heard
+            # a robot was reset. The HLI's reply may come before the states that it refers to, and silent robots have
+            # no new state
             self.phase, self.by = StopPhase.NONE, None
 
 
@@ -123,7 +120,7 @@ def _is_stopped(motion: RobotMotion) -> bool:
 
 
 class RecordingDesk:
-    """The recording that is being written, and what became of the last.
+    """The present recording, and the result of the last one.
 
     Args:
         cell: name of the cell.
@@ -161,14 +158,14 @@ class RecordingDesk:
             self._view = RecordingView(file=self._view.file, since_s=now_s)
 
     def ended(self, why: str) -> str:
-        """The recorder has ended, and why if not as asked; returns what to tell."""
+        """The recorder has ended, as asked or by an error; returns a line for the log."""
         text = f"{self._view.file} was recorded" if not why else f"{self._view.file}: {why}"
         self._view = RecordingView(text=text)
         return text
 
 
 class StatusBoard:
-    """The status of one cell, and the part of it that each browser has got.
+    """The status of one cell, and the part of it that was sent to each browser.
 
     Args:
         robots: each robot's side.
@@ -177,8 +174,8 @@ class StatusBoard:
         cell: its name or file, as commands take it.
 
     Attributes:
-        hli: whether the HLI is heard.
-        text: why it is not.
+        hli: whether the HLI answers.
+        text: why it does not.
     """
 
     def __init__(
@@ -206,7 +203,7 @@ class StatusBoard:
             self._log.add(now_s, "link", f"the HLI is silent: {text}")
         self.hli, self.text = False, text
         for side in self._robots.values():
-            side.outside_holder = None  # what it told last is old
+            side.outside_holder = None  # its last message is old
 
     def forget(self, client: Client) -> None:
         """A browser has gone."""

@@ -1,7 +1,7 @@
 """The console's web server: the page, the scene and its meshes, recordings, and the live WebSocket.
 
-Only pages of this console's own are served what others must not have (a browser says which page asks), and only under
-names by which the console is called, so that no web site can pretend to be it. Who comes in is decided by the `Door`.
+Protected content goes only to the console's own pages (a browser names the asking page), and only under the
+console's own host names, so no other web site can pose as it. The `Door` decides on access.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _PAGE_HEADERS = {
 }
 
 _LONGEST_BYTES = 64 * 1024
-"""Longest message that is read at all; commands are shorter, and this much is told so."""
+"""Longest message that is read; commands are shorter, and a longer message gets an error."""
 _NOT_PERMITTED = 1008
 _LONGEST_NAME, _LONGEST_SESSION = 32, 64
 
@@ -100,7 +100,7 @@ def server_of(app: Starlette) -> uvicorn.Server:
             log_config=None,  # this process logs all that it says in one way
             log_level="warning",
             access_log=False,
-            http="h11",  # what uvicorn brings; another parser that is installed would not be the one that is tested
+            http="h11",  # the parser of uvicorn, which is tested; another one may be installed
             ws_max_size=_LONGEST_BYTES,
             ws_per_message_deflate=False,  # messages are small, and soon old
             ws_ping_interval=2.0,

@@ -56,14 +56,14 @@ async def _run(
 
 
 def _allow_many_connections() -> None:
-    """A flood of connections shall not use up what the system lets a process open."""
+    """Raise the limit of open files, so that a flood of connections does not use it up."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     most = _MOST_OPEN if hard == resource.RLIM_INFINITY else min(hard, _MOST_OPEN)
     resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, most), hard))
 
 
 def _client_identities(cell: CellDescription) -> tuple[ClientIdentities | None, str]:
-    """Who knows the clients of the cell's authority, and its certificate; None and empty where there is none."""
+    """The checker of clients' identities and the authority's certificate; None and empty without an authority."""
     if not (os.environ.get(IDENTITY) or os.environ.get(AUTHORITY_FILE)):
         return None, ""
     from cryptography.hazmat.primitives.serialization import Encoding

@@ -1,4 +1,4 @@
-"""The audit log: stamps what the core tells, writes it to a file, and publishes it for recorders."""
+"""The audit log: stamps the core's entries, writes them to a file, and publishes them for recorders."""
 
 from __future__ import annotations
 
@@ -33,26 +33,26 @@ from deltaq_services.rate_limit import Pace, RateLimit
 
 _log = logging.getLogger(__name__)
 
-# Equal deeds are one entry with a count, so that a flood of them fills no disk. Plain decisions.
+# Equal actions become one entry with a count, so that a flood of them fills no disk. Pure.
 #
-# The first of a group is told at once, those that follow are counted: until a second is over, and, while
-# they keep coming, until 2, 4, 8, 16 and then 30 seconds are. Of one kind, outcome and role so many groups
-# are told apart; whatever is beyond them goes into one. So nobody soon drives the entries of others out of
-# the files by inventing names.
+# The first of a group is reported at once; the following ones are counted and reported after 1 s and, while they
+# keep coming, after 2, 4, 8, 16 and then 30 s. The number of groups of one kind, outcome and role is bounded; all
+# further ones form one group. So a client that invents names cannot soon push the entries of others out of the
+# files.
 
 QUIET_S = 1.0
 LONGEST_QUIET_S = 30.0
 MOST_GROUPS = 20
-"""Groups of one kind, outcome and role that are told apart at a time."""
+"""Greatest number of groups of one kind, outcome and role."""
 NEW_GROUPS_S = 0.2
 """Of these, new ones a second; at once there may be as many as at a time."""
 MANY = "more than can be told apart"
-"""The client of what is beyond."""
+"""The client's name in the group of all further ones."""
 
 
 @dataclass(frozen=True, slots=True)
 class CountedDeed:
-    """The newest of some equal deeds, when it was [s], and how many they are."""
+    """The newest of some equal actions, its time [s], and their number."""
 
     deed: Deed
     time_s: float
@@ -83,12 +83,12 @@ class _Group:
     count: int = 0
 
     def counted(self) -> CountedDeed:
-        """What is to be told of it."""
+        """The entry to report for it."""
         return CountedDeed(self.newest, self.newest_s, self.count)
 
 
 class DeedGroups:
-    """Puts equal deeds together."""
+    """Groups equal actions."""
 
     def __init__(self) -> None:
         self._groups: dict[_Key, _Group] = {}
@@ -96,7 +96,7 @@ class DeedGroups:
         self._told_apart: Counter[_Kind] = Counter()
 
     def add(self, deed: Deed, now_s: float, count: int = 1) -> list[CountedDeed]:
-        """Take a deed, or several equal ones; returns the deeds to report at once."""
+        """Take an action, or several equal ones; returns the actions to report at once."""
         group = self._groups.get(_key(deed))
         if group is None and not self._may_begin(deed, now_s):
             others = ClientOrigin(client=MANY, role=deed.origin.role)
@@ -111,7 +111,7 @@ class DeedGroups:
         return []
 
     def due(self, now_s: float) -> list[CountedDeed]:
-        """The groups that were counted for long enough, as deeds with their counts."""
+        """The groups whose time is over, as actions with their counts."""
         told: list[CountedDeed] = []
         for key, group in list(self._groups.items()):
             if now_s < group.until_s:
@@ -127,7 +127,7 @@ class DeedGroups:
         return told
 
     def rest(self) -> list[CountedDeed]:
-        """The counted deeds that were not reported yet; all groups are forgotten."""
+        """The counted actions that were not reported yet; all groups are forgotten."""
         groups, self._groups = self._groups, {}
         self._told_apart.clear()
         return [group.counted() for group in groups.values() if group.count]
@@ -146,9 +146,9 @@ def _kind(deed: Deed) -> _Kind:
 
 def _key(deed: Deed) -> _Key:
     origin = deed.origin
-    # who connects again and again has another port each time
+    # a client that connects again has another port each time
     host = origin.address.rpartition(":")[0] or origin.address
-    # what was refused is equal whatever a stranger wrote; what was done is another thing each time
+    # refused actions are equal whatever the client wrote; each accepted action is one of its own
     text = "" if deed.outcome is AuditOutcome.REFUSED else deed.text
     return _Key(
         deed.what,
@@ -165,9 +165,9 @@ def _key(deed: Deed) -> _Key:
 
 # The file of the audit log: whole lines, appended, bounded in size, written in a thread of its own.
 #
-# Each line is one `write` at the end of the file, so that a process that is killed leaves no half of an earlier line.
-# What a full disk or a loss of power tore is ended when the next line comes. A killed process loses what its thread
-# had not written yet; a machine that loses its power, what came since the last `fdatasync`, about a second.
+# Each line is one `write` at the end of the file, so a killed process leaves no torn earlier line. A line torn by a
+# full disk or a power failure is completed when the next line comes. A killed process loses the lines that its
+# thread had not written yet; a power failure loses those since the last `fdatasync`, about a second.
 
 MOST_BYTES = 16 * 1024 * 1024
 """Of one file; then it becomes FILE.1, and that FILE.2."""
@@ -236,7 +236,7 @@ class AuditFile:
             self._turned_away += 1
 
     def close(self) -> None:
-        """Write what waits, as far as the disk takes it in time."""
+        """Write the waiting lines, as far as the disk takes them in time."""
         try:
             self._waiting.put(None, timeout=_CLOSE_DEADLINE_S)
         except queue.Full:
@@ -289,7 +289,7 @@ class AuditFile:
             raise OSError(0, "only a part of a line could be written")
 
     def _current(self) -> int:
-        """The open file, unless somebody has moved it or taken it away since."""
+        """The open file, unless it was moved or deleted since."""
         if self._descriptor is not None and not _is_at(self._descriptor, self._path):
             self._forget()
         if self._descriptor is None:
@@ -342,12 +342,12 @@ def default_audit_file(cell: str) -> Path:
 
 
 def audit_file_name(cell: str) -> str:
-    """What the file of a cell's audit log is called, where nobody names it."""
+    """The default name of a cell's audit log."""
     return f"audit-{cell}.jsonl"
 
 
 def _opened(path: Path) -> int:
-    # non-blocking: a pipe that nobody reads is an error, and not the end of the thread
+    # non-blocking: a pipe without a reader is an error, and does not block the thread
     flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NONBLOCK
     return os.open(path, flags, 0o600)
 
@@ -368,7 +368,7 @@ _HIDDEN = "(a secret)"
 
 
 class Audit:
-    """Takes deeds.
+    """Takes actions for the audit log.
 
     Args:
         file: the log's file; None: nothing is written, but entries are still published.
@@ -377,9 +377,9 @@ class Audit:
         now: monotonic time [s].
 
     Attributes:
-        counters: attempts that were refused, by what was tried and why.
+        counters: refused attempts, by action and reason.
         lines: entries that were handed to the file.
-        unpublished: entries that were too many for recorders.
+        unpublished: entries that recorders did not get because there were too many.
 
     Raises:
         AuditFileError: if the file cannot be written to.
@@ -403,20 +403,20 @@ class Audit:
         self.unpublished = 0
 
     def tell(self, deed: Deed, count: int = 1) -> None:
-        """Take a deed, or several equal ones; after `close` nothing is told any more."""
+        """Take an action, or several equal ones; ignored after `close`."""
         if deed.outcome is AuditOutcome.REFUSED:
             self.counters[f"attempts_refused_{deed.what}_{deed.code or 'unknown'}"] += count
         if not self._is_closed:
             self._say(self._groups.add(deed, self._now(), count))
 
     def tick(self) -> None:
-        """Write and publish the deeds that were counted for long enough; to be called often."""
+        """Write and publish the counted actions whose time is over; to be called often."""
         now_s = self._now()
         if self._pace.due(now_s):
             self._say(self._groups.due(now_s))
 
     def close(self) -> None:
-        """Tell what is counted, and complete the file."""
+        """Write the counted actions, and complete the file."""
         self._say(self._groups.rest())
         self._is_closed = True
         if self._file is not None:

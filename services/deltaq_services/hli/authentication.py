@@ -1,6 +1,6 @@
-"""Who a zenoh message is from, as far as it proves it: the holder of a lease, or who has the token of a role.
+"""Authentication of zenoh messages: the proven sender is the holder of a lease or has the token of a role.
 
-Plain decisions; the shell passes the time in. What is not proven is not decoded.
+Pure: the shell passes the time. Messages without a proof are not decoded.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from deltaq_services.hli.leases import Leases, Sequence
 
 # Challenges that a request of the operator answers, each good once and not for long.
 #
-# None is kept: the server knows its own by their MAC, so that whoever asks for a million takes nobody's away. Those
-# that were used are remembered as long as they would be good, and only who knows the operator's token can use one.
+# They are not stored: the server recognizes its own by their MAC, so a client that asks for a million displaces no
+# other's. Used ones are remembered while they would be valid; only a client with the operator's token can use one.
 
 GOOD_FOR_S = 5.0
 """Between the challenge and the request lies one round trip."""
@@ -76,14 +76,14 @@ def _until_s(challenge: bytes) -> float:
     return made_s + GOOD_FOR_S
 
 
-# Operators and controllers by their certificates: who made a request, by name. The shell passes the clock in.
+# Operators and controllers by their certificates: the name of a request's sender. The shell passes the clock.
 
 _MOST_KNOWN = 256
 """Certificates that are not verified again each time."""
 
 
 class ClientIdentities:
-    """Knows those to whom a cell's authority gave a certificate.
+    """Recognizes clients by certificates of the cell's authority.
 
     Args:
         authority: its certificate.
@@ -96,21 +96,21 @@ class ClientIdentities:
         self._known: dict[bytes, x509.Certificate] = {}
 
     def nonce(self, proof: bytes) -> bytes:
-        """The challenge that a signed proof says it answers; empty if it is none."""
+        """The challenge that a signed proof claims to answer; empty for any other proof."""
         signed = Signed.parse(proof)
         return b"" if signed is None else signed.nonce
 
     def name(self, key: str, message: bytes, proof: bytes) -> str:
         """The identity that signed a message under a zenoh key, e.g. `operator-desk`; empty if no permitted one did.
 
-        Any thread may ask. Whether the challenge is new is another question.
+        Callable from any thread. It does not check whether the challenge is new.
         """
         signed = Signed.parse(proof)
         if signed is None:
             return ""
         try:
             certificate = self._believed(signed)
-        except Exception:  # what strangers make up raises many unrelated types
+        except Exception:  # forged certificates raise errors of many unrelated types
             return ""
         public_key = certificate.public_key()
         if not (isinstance(public_key, ec.EllipticCurvePublicKey) and signed.is_of(public_key, key, message)):
@@ -118,7 +118,7 @@ class ClientIdentities:
         return person_named(name_in(certificate))
 
     def _believed(self, signed: Signed) -> x509.Certificate:
-        """Its certificate, which the authority issued for now; an error of whatever type if it did not."""
+        """The certificate, if the authority issued it and it is valid now; raises an error of any type otherwise."""
         known = self._known.get(signed.certificate)
         now = self._now()
         if known is not None and now <= known.not_valid_after_utc:
@@ -159,15 +159,16 @@ class Authentication:
         self._leases = leases
         self._roles = roles
         self._challenges = Challenges(secret)
-        # what was heard in zenoh's threads, before the loop takes it up
+        # messages from zenoh's threads that the loop has not taken yet
         self._heard_challenges = Challenges(secret)
         self._heard_counts: dict[str, Sequence] = {}
         self._counts: dict[str, tuple[str, int]] = {}
 
     def holder_of_increment(self, robot: str, key: str, message: bytes, proof: bytes) -> Proven | None:
-        """The lease under which an increment was sent: the present one or the one before it; any thread may ask.
+        """The lease under which an increment was sent: the present or the previous one; callable from any thread.
 
-        An increment under the earlier lease comes from a holder that has not heard of its loss yet, and must be told.
+        An increment under the previous lease comes from a holder that does not know of its loss yet; it must get an
+        answer.
         """
         if len(message) > MAX_MESSAGE_BYTES:
             return None

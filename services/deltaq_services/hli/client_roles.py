@@ -1,6 +1,6 @@
-"""ClientRoles of clients: what a token makes of whoever has it. Plain decisions.
+"""Roles of clients by their tokens.
 
-Where no operator's token is set, everybody is an operator: that is for one machine, whose users trust one another.
+Pure. Without an operator's token every client is an operator: for one machine whose users trust one another.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ class ClientRoles:
     """The tokens of a cell.
 
     Attributes:
-        operator_token: None: everybody is an operator.
-        controller_token: None: everybody who is not the operator is a controller.
+        operator_token: None: every client is an operator.
+        controller_token: None: every other client is a controller.
     """
 
     operator_token: str | None = None
@@ -65,12 +65,12 @@ def _is(wanted: str | None, token: str | None) -> bool:
     return wanted is not None and hmac.compare_digest(given, wanted.encode())
 
 
-# The tokens that clients show, from files or from the environment, and what a cell needs of them.
+# The tokens of clients, from files or from the environment, and a cell's rules for them.
 
 CONTROLLER_TOKEN = "DELTAQ_CONTROLLER_TOKEN"
 """Environment variable: where set, a lease needs this token, or the operator's."""
 LEAST_CHARACTERS = 16
-"""Of tokens that clients on other machines show: nobody guesses so long a one, where it was drawn by chance."""
+"""Least length of tokens for clients on other machines: a random one of this length cannot be guessed."""
 
 
 def client_roles(cell: CellDescription, environment: Mapping[str, str] = os.environ) -> ClientRoles:
@@ -91,7 +91,7 @@ def client_roles(cell: CellDescription, environment: Mapping[str, str] = os.envi
         raise GivenTokenError(f"{CONTROLLER_TOKEN} and {OPERATOR_TOKEN} are the same; draw two tokens")
     if cell.clients_need_tokens:
         if environment.get(IDENTITY) or environment.get(AUTHORITY_FILE):
-            # identities prove the same; a token that nobody has leaves the others observers
+            # identities prove the same; with a random token all clients without an identity are observers
             operator, controller = (token or secrets.token_hex() for token in (operator, controller))
         for name, token in ((OPERATOR_TOKEN, operator), (CONTROLLER_TOKEN, controller)):
             if token is None:

@@ -1,4 +1,4 @@
-"""Commands to the gate that await their answer, and the deeds that the audit log is told of."""
+"""Commands to the gate that await their answer, and actions for the audit log."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from deltaq_services.outputs import NOBODY, ClientOrigin, Output, Sender, ToSend
 
 @dataclass(frozen=True, slots=True)
 class Deed:
-    """One thing that was done or tried, for the audit log, whose shell stamps it with the time of day.
+    """One action, done or attempted, for the audit log.
 
     Attributes:
-        what: it was.
-        outcome: how it ended, so far.
+        what: the kind of action.
+        outcome: its result so far.
         origin: the client that did it.
         robot: the robot that it concerned; None for no robot or all robots.
         code: why it was refused.
-        text: what the client was told.
+        text: the answer to the client.
     """
 
     what: AuditKind
@@ -36,7 +36,7 @@ class Deed:
 
 
 Tell = Callable[[Deed], None]
-"""Takes what was done, where it is decided."""
+"""Takes actions for the audit log."""
 
 KIND_OF_REQUEST = {
     "stop": AuditKind.STOP,
@@ -50,7 +50,7 @@ KIND_OF_REQUEST = {
 
 
 def told_to_nobody(_deed: Deed) -> None:
-    """Takes the deeds of a core without an audit log, and forgets them."""
+    """Takes the actions of a core without an audit log, and drops them."""
 
 
 def deed_of(
@@ -80,7 +80,7 @@ REPLY_DEADLINE_S = 0.5
 """Silence of the gate after which a command counts as not confirmed."""
 
 MOST_AWAIT_A_STOP = 64
-"""Those who are told of one stop; whoever comes then sends one of their own."""
+"""Greatest number of clients that wait for one stop; a further client sends a stop of its own."""
 
 STOP_PERIOD_S = 0.1
 """A stop that the gate has not answered is sent again after this: a session that broke carries nothing, and does not
@@ -127,7 +127,7 @@ class _Awaited:
 
     @property
     def origins(self) -> tuple[ClientOrigin, ...]:
-        """Whose it is; nobody's is the HLI's own."""
+        """The clients that asked for it; empty for a command of the HLI itself."""
         return tuple(sender.origin for sender in self.senders) or (NOBODY,)
 
 
@@ -138,12 +138,12 @@ def _told(awaited: _Awaited, message: Message) -> list[Output]:
 class Commands(Part):
     """The commands that are in flight.
 
-    The gate's heartbeats tell its epoch and the ids that an earlier process used, so that the first command is valid.
-    If the gate began anew since, it refuses the command, and the refusal tells them.
+    The gate's heartbeats carry its epoch and the ids that an earlier process used, so that the first command is
+    valid. A gate that was restarted since refuses the command, and its refusal carries them.
 
     Args:
         first_id: greater than any id used before, as far as that can be known.
-        tell: takes what became of each.
+        tell: takes the result of each, for the audit log.
     """
 
     def __init__(self, first_id: int, tell: Tell = told_to_nobody) -> None:
@@ -190,7 +190,7 @@ class Commands(Part):
         return None
 
     def stops_again(self, time_s: float) -> list[Output]:
-        """The stops that the gate has not answered yet, even if their senders were told an outcome meanwhile."""
+        """The stops that the gate has not answered yet, even if their senders already got an outcome."""
         again = [stop for stop in self._stops.values() if time_s >= stop.again_s]
         for stop in again:
             self._stops[stop.command.robot] = replace(stop, again_s=time_s + STOP_PERIOD_S)
@@ -203,7 +203,7 @@ class Commands(Part):
         if asked is not None and reply.epoch is not None and reply.newest_id is not None:
             self.learn(reply.epoch, reply.newest_id)
             unknowing = asked.command.epoch != reply.epoch or asked.command.id <= self._outdated_id
-            # what was asked before a stop must not come after it
+            # commands from before a stop must not come after it
             if unknowing and asked.command.id > self._stop_id:
                 return self._sent_again(self._awaited.pop(reply.id))
             if not unknowing and reply.code is ReasonCode.REPLAYED_SEQUENCE:
@@ -228,11 +228,11 @@ class Commands(Part):
         return _told(awaited, error)
 
     def suppose(self, epoch: int) -> None:
-        """A Robot Server follows the gate of this epoch (0: none yet); what the gate itself says counts more."""
+        """Note the gate's epoch from a Robot Server (0: none yet); the gate's own messages take precedence."""
         self._epoch = self._epoch or epoch
 
     def learn(self, epoch: int, newest_id: int) -> None:
-        """The gate says of what epoch it is, and how far ids have come."""
+        """Note epoch and newest id from the gate."""
         self._epoch = epoch
         if self._id < newest_id < MOST_COUNTED_ON:
             self._outdated_id, self._id = self._id, newest_id

@@ -1,7 +1,7 @@
-"""The core of the HLI: plain decisions; its shell passes the time in.
+"""The core of the HLI: pure; its shell passes the time.
 
-Between controllers and gate it keeps who may write (`leases`), hands on the newest increment of each
-cycle (`increments`), and answers everything that is asked (`requests`), refusals with their reason.
+Between controllers and gate it keeps the leases (`leases`), passes on the newest increment of each cycle
+(`increments`), and answers requests (`requests`), refusals with their reason.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from deltaq_services.rate_limit import Heard, Pace
 
 
 class HliCore(Part):
-    """Everything the HLI decides; every `on_...` method returns what is to be sent.
+    """All decisions of the HLI; each `on_...` method returns the messages to send.
 
     Args:
         cell: description of the cell.
@@ -55,15 +55,15 @@ class HliCore(Part):
         tool_pose: pose of a robot's tool from its name and its n joints `q` [rad or m].
         new_token: makes a secret, different each time.
         first_epoch: greater than any lease epoch or command id used before, as far as that can be known.
-        roles: of clients; None: everybody is an operator.
-        tell: takes what was done or tried, for the audit log.
+        roles: of clients; None: every client is an operator.
+        tell: takes actions, for the audit log.
 
     Attributes:
         increments: takes the controllers' increments.
         requests: answers leases, stop, reset and digital outputs.
         counters: everything that has been counted.
         tell: as given.
-        containment: of errors that nobody foresaw.
+        containment: of unexpected errors.
     """
 
     aside = frozenset({"increments", "requests"})
@@ -103,13 +103,13 @@ class HliCore(Part):
         sender: Sender | None = None,
         asked: Mapping[str, object] = MappingProxyType({}),
     ) -> list[Output]:
-        """What is decided. An error that nobody foresaw makes no difference but this: it is told, and robots are held.
+        """The result of `decide`. An unexpected error is reported, and the robots are held; nothing else changes.
 
         Args:
             decide: decides on one message.
             time_s: when it came.
-            robots: whose motion the message concerns; to be held if it fails.
-            sender: the client to be told that its message was refused.
+            robots: the robots that it concerns; to be held if it fails.
+            sender: the client that gets an error if it fails.
             asked: the message as it came, as far as it could be read.
         """
         self.containment.remember()
@@ -130,7 +130,7 @@ class HliCore(Part):
         return outputs
 
     def failed(self, error: Exception) -> None:
-        """Note an error that nobody foresaw."""
+        """Count and log an unexpected error."""
         self.containment.note(error)
         self.counters["internal_errors"] += 1
 
@@ -179,9 +179,9 @@ class HliCore(Part):
         )
 
     def on_server_state(self, state: ServerState, time_s: float) -> list[Output]:
-        """A cycle of a robot: ask the gate for what has waited, and tell the controllers.
+        """A cycle of a robot: send the waiting increment to the gate, and the state to the controllers.
 
-        A heartbeat for the gate goes last: the controllers' time to answer has begun.
+        The heartbeat for the gate comes last: the controllers' time to answer has begun.
         """
         link = self._state.links.get(state.robot)
         if link is None or len(state.q) != link.joints:
@@ -285,11 +285,11 @@ class HliCore(Part):
         return self._state.tick(time_s)
 
     def gate_age_s(self, time_s: float) -> float | None:
-        """Time since the gate was heard [s]; None if it never was."""
+        """Time since the gate's last message [s]; None if there was none."""
         return time_s - self._gate_heard_s if self._gate else None
 
     def status(self, time_s: float, front_counters: Counter[str]) -> Status:
-        """The running cell; `front_counters` are what the fronts counted themselves."""
+        """The running cell; `front_counters` are the fronts' own counters."""
         gate = self._gate
         return Status(
             cell=self._state.cell.cell,

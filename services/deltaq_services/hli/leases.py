@@ -18,12 +18,12 @@ from deltaq_services.outputs import NOBODY, ClientOrigin, Sender
 
 @dataclass
 class Sequence(Part):
-    """Which of the newest sequence numbers of a lease were seen; the sliding window of RFC 4303, 3.4.3.
+    """Replay protection of a lease: the sliding window of sequence numbers of RFC 4303, 3.4.3.
 
     Attributes:
-        width: how many of the newest are told apart; 1: only a greater number than all before is new.
+        width: size of the window; 1: only a number greater than all before is new.
         newest: greatest number seen, -1 before the first.
-        seen: bit k says that `newest` - k was seen.
+        seen: bit k is set if `newest` - k was seen.
     """
 
     width: int = 1

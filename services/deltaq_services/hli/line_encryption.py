@@ -64,6 +64,7 @@ def line_encryption(
         why = error.reason if isinstance(error, ssl.SSLError) else error.strerror
         raise LineEncryptionError(f"{certificate} with {key} cannot be used: {why}") from error
     if authority:
-        context.verify_mode = ssl.CERT_OPTIONAL  # who shows none proves a role by a token, or has none
+        # a client without a certificate proves a role by a token, or has none
+        context.verify_mode = ssl.CERT_OPTIONAL
         context.load_verify_locations(cadata=authority)
     return context

@@ -33,7 +33,7 @@ class ReceivedLines:
         self._received += data
 
     def first(self) -> tuple[int, bool]:
-        """Length of the first line, or of what there is of it, and whether it is whole."""
+        """Length of the first line, or of its received part, and whether it is complete."""
         end = self._received.find(b"\n", self._searched)
         self._searched = end if end >= 0 else len(self._received)
         return self._searched, end >= 0
@@ -105,10 +105,10 @@ def request_type(data: dict[str, Any]) -> type[Message]:
 
 
 def hello_of(data: dict[str, Any]) -> Hello:
-    """The hello; one of another version may have fields that this one does not know.
+    """The hello in a line; a hello of another version may have unknown fields.
 
     Raises:
-        InvalidMessageError: it is none.
+        InvalidMessageError: the line is no hello.
     """
     protocol = data.get("protocol")
     if isinstance(protocol, int) and protocol not in LINE_VERSIONS:

@@ -1,13 +1,12 @@
-"""TCP connections until they are taken up.
+"""TCP connections until they are accepted as clients.
 
-To make a client of a connection takes longer than to open one, so that a flood fills the system's queue; whoever comes
-then is served after all of it, or has to knock again a fifth of a second later. So all connections are let in as they
-come, which costs little, and then taken up in this order: those that have brought a stop, those that have brought
-anything, the others; each time one of each address in turns, the newest first, and without a stop not more in a second
-than a cell can bear.
+Making a client of a connection takes longer than opening one, so a flood would fill the system's queue, and others
+would have to retry. So all connections are opened as they come, which costs little, and then accepted in this order:
+those that have sent a stop, those that have sent anything, the others. Addresses take turns, the newest connection
+first, and connections without a stop are accepted at a bounded rate.
 
-Where lines are encrypted nobody can tell what a connection brings before it is taken up, but for a stop in the clear:
-anybody may stop, so that one is obeyed there, too, and waits for no agreement on an encryption.
+With encrypted lines the content of a connection is unknown before it is accepted, except for a stop in the clear:
+    any client may stop, so it is obeyed at once, without a TLS handshake.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from deltaq_services.hli.line_requests import holds_stop
 from deltaq_services.hli.places import WaitingPlaces
 from deltaq_services.rate_limit import RateLimit
 
-# The encryption of a connection, agreed on before anybody else hears of it; who fails in that is told of.
+# The TLS handshake of a connection, before it becomes a client; failed handshakes are reported.
 
 HANDSHAKE_S = 5.0
 """Connections that do not agree on their encryption until then end."""
@@ -60,7 +59,7 @@ class Handshake(asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Somebody has connected."""
         assert isinstance(transport, asyncio.Transport)  # of a TCP server, always
-        transport.pause_reading()  # what comes is for the encryption
+        transport.pause_reading()  # the bytes belong to the handshake
         self._task = self._loop.create_task(self._agree(transport))
 
     def data_received(self, data: bytes) -> None:
@@ -118,14 +117,14 @@ _PEEKED_BYTES = 4096
 
 
 class Newcomers:
-    """Listens, and hands over connections.
+    """Listens, and accepts connections as clients.
 
     Args:
         loop: the event loop.
-        begin: makes the protocol of a connection that is taken up, from whether it has brought a stop.
-        counters: what is counted.
-        per_second: at most so many are taken up that have brought none.
-        silent_s: nobody who says nothing is taken up before he has waited so long [s].
+        begin: makes the protocol of an accepted connection; its argument says whether it has sent a stop.
+        counters: are added to.
+        per_second: greatest number of connections without a stop accepted in a second.
+        silent_s: silent connections are accepted after this delay [s].
     """
 
     def __init__(
@@ -163,7 +162,7 @@ class Newcomers:
             self._loop.add_reader(listener, self._let_in, listener)
 
     async def close(self) -> None:
-        """Let nobody in any more, and send away who waits."""
+        """Stop listening, and close the waiting connections."""
         for listener in self._listeners:
             self._loop.remove_reader(listener)
             listener.close()
@@ -226,7 +225,7 @@ class Newcomers:
         return self._loop.time() - self._let_in_s[one] >= self._silent_s
 
     def _listen_to_the_silent(self) -> None:
-        """Look once at what each has brought first; it stays to be read."""
+        """Look at the first bytes of each connection, without consuming them."""
         for descriptor, _ in self._heard.poll(0):
             one = self._silent[descriptor]
             try:

@@ -1,4 +1,4 @@
-"""The HLI in the open realm: what zenoh clients can reach."""
+"""The HLI's interface for zenoh clients, in the open realm."""
 
 from __future__ import annotations
 
@@ -39,25 +39,26 @@ from deltaq_services.hli.zenoh_session import FloodWait, HliSession
 from deltaq_services.outputs import ClientOrigin, Output, Sender
 from deltaq_services.rate_limit import RateLimit
 
-# Increments that come over zenoh, sifted before the core hears of them: whose they are, and how many there may be.
+# Rate filter of increments over zenoh, before the core: checks their proofs and bounds their number.
 #
-# It works in zenoh's threads. A stranger's increments cost one MAC each: nobody
-# decodes them, and they take no holder's place in a queue.
+# It works in zenoh's threads. An increment without a valid proof costs one MAC: it is not decoded, and takes no place
+# in a queue.
 
 MOST_A_CYCLE = 4
-"""Increments of a holder that are judged, on average: one is passed on, the rest is replaced by newer ones."""
+"""Mean number of a holder's increments that are checked in a cycle: one is passed on, newer ones replace the
+rest.
+"""
 MOST_RARE_S = 5.0
-"""Increments a second that are answered of one who has lost the lease, and of those that come again or name no number.
-Each answer goes to every watcher. Whoever has overheard an increment can send it again: it takes nothing of the rate
-that its holder has."""
+"""Answers a second to increments under a lost lease, and to repeated or unnumbered ones.
+Each answer goes to every watcher. A replayed increment uses up none of the holder's rate."""
 MOST_UNPROVEN_S = 100.0
-"""Increments a second that show no lease, or are too many, and are read as fast as they come; no client sends any."""
+"""Unproven or excess increments a second that are read without a delay; a correct client sends none."""
 _TOLD_APART = 1024
-"""Newest sequence numbers of a lease; a playout buffer's are fewer."""
+"""Size of the window of sequence numbers of a lease; a jitter buffer holds fewer."""
 
 
 class Sifted(NamedTuple):
-    """An increment as it came, for which robot, and the token of the lease that it was proven to be sent under."""
+    """An undecoded increment, its robot, and the token of the lease that its proof shows."""
 
     robot: str
     token: str
@@ -65,7 +66,7 @@ class Sifted(NamedTuple):
 
 
 class Sieve:
-    """Keeps increments without a proof, and increments that are too many, from the core.
+    """Drops increments without a proof, and increments beyond the rate, before the core.
 
     Args:
         keys: zenoh key of each robot's increments, by robot.
@@ -92,7 +93,7 @@ class Sieve:
         self._counters: Counter[str] = Counter()
 
     def sift(self, sample: zenoh.Sample) -> Sifted | None:
-        """An increment to be judged; None: it is counted and dropped."""
+        """The increment in a sample, if the core is to check it; None if it was counted and dropped."""
         key = str(sample.key_expr)
         robot, proof = self._robots.get(key), sample.attachment
         if robot is None or proof is None:
@@ -145,13 +146,13 @@ def _seq_in(payload: bytes) -> int | None:
         return None
     try:
         seq = msgpack.unpackb(payload)["seq"]
-    except Exception:  # what a holder makes up raises many unrelated types
+    except Exception:  # invalid content raises errors of many unrelated types
         return None
     return seq if type(seq) is int and seq >= 0 else None
 
 
 _ADDRESS = "zenoh"
-"""Of all who ask over zenoh: it does not tell where a question comes from."""
+"""Address of all zenoh clients: zenoh does not show where a query comes from."""
 
 
 class QuerySender(Sender):
@@ -218,14 +219,14 @@ class OpenFront:
             self._session.publish(topic, message, robot=robot)
 
     def counters(self) -> Counter[str]:
-        """What the session counted."""
+        """Counters of the session and of the rate filter."""
         counters = self._session.counters() + self._sieve.counters()
         counters["zenoh_sessions_open"] = len(self._opened.info.transports())
         return counters
 
     @property
     def unproven(self) -> int:
-        """Increments that showed no lease."""
+        """Number of increments without a valid proof."""
         return self._sieve.unproven
 
     def close(self) -> None:
@@ -256,7 +257,7 @@ class OpenFront:
         QuerySender(query, topics.CHALLENGE.key(self._cell)).deliver(Challenge(challenge=challenge.hex()))
 
     def _on_stop(self, query: zenoh.Query) -> None:
-        # a stop is obeyed whatever the message says
+        # a stop is obeyed whatever its fields are
         sender = QuerySender(query, topics.STOP.key(self._cell))
         with contextlib.suppress(Exception):
             sender.origin = self._origin(unpack(StopRequest, _payload(query)).client, None)
@@ -292,7 +293,7 @@ class OpenFront:
         port.serve(judged, sender=sender)
 
     def _proven(self, row: RequestRow, request: Any, query: zenoh.Query) -> Any:
-        """A request with what its proof stands for, whatever it says itself."""
+        """A request whose lease and role are replaced by the proven ones."""
         fields: dict[str, str | None] = {}
         if "lease" in row.proven:
             fields["lease"] = self._port.authentication.holder(

@@ -1,7 +1,7 @@
-"""Places for connections: so many for clients, so many of one peer, and others that are kept for a stop.
+"""Limits on connections: of clients, of one peer, and of further connections that may only stop.
 
-Plain decisions. Whoever finds no place may still stop the cell: such a connection is kept for a moment, and nothing but
-a stop is read from it. When too many of them wait the oldest gives way, so that silent ones keep nobody out.
+Pure. A connection beyond the limits may still stop the cell: it is kept for a moment, and only a stop is read from
+it. If too many of them wait, the oldest is closed, so silent ones lock no other out.
 """
 
 from __future__ import annotations
@@ -67,15 +67,14 @@ class WaitingPlaces(Generic[C]):
                 del self._by_address[address]
 
 
-# Whose line is served next, when many wait. Plain decisions; the shell passes the time in.
+# The order in which waiting lines are served. Pure: the shell passes the time.
 #
 # Connections that hold a lease come first, since a robot waits for them; the others follow in turn, one
-# line each. Every connection has a rate, and those without a lease have one together, so that however many
-# they are, time is left for the states of the robots. A line beyond a rate waits; it is not lost, and its
-# sender is the one who waits.
+# line each. Every connection has a rate, and those without a lease share one, so time is left for the robots' states
+# however many they are. A line beyond a rate is not lost: it waits, and only its sender waits.
 
 MOST_LINES_S = 2000.0
-"""Lines a second of one connection: several times what it takes to move two robots every 4 ms."""
+"""Lines a second of one connection: several times the need for two robots at 4 ms."""
 MOST_TOGETHER_S = 2000.0
 """Lines a second of all connections together that hold no lease."""
 
@@ -144,7 +143,7 @@ class Places(Generic[C]):
         self._for_stops: dict[C, None] = {}
 
     def take(self, connection: C, address: str) -> bool:
-        """Give a connection a client's place; returns False if there is none."""
+        """Count a connection as a client; returns False if the limit is reached."""
         mine = sum(taken == address for taken in self.clients.values())
         if len(self.clients) >= MAX_CONNECTIONS or (mine >= MAX_OF_A_PEER and not is_loopback(address)):
             return False

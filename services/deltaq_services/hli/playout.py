@@ -31,7 +31,7 @@ from deltaq_services.outputs import Sender
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """An increment that passed all checks, who sent it, under which lease, and in which cycle it came."""
+    """A checked increment, with its sender, its lease, and the cycle in which it came."""
 
     increment: Increment
     lease_epoch: int
@@ -39,24 +39,24 @@ class Asked:
     came: int
 
 
-# Motion of increments that came after their turn: it goes out with those behind them, a little in each cycle.
+# Deferred motion: of increments that came after their turn; it is added to later ones, a little in each cycle.
 #
-# In a cycle without an increment the robot brakes, but it moves on meanwhile. So of an increment that comes
-# a cycle late only the rest is owed: what was asked for, less what the brake has gone already. The rest is
-# spread over some cycles, since all of it at once would be more than a joint can accelerate.
+# In a cycle without an increment the robot brakes, but it moves on meanwhile. So an increment that comes a cycle
+# late is deferred less the motion of the brake. The rest is spread over some cycles, since a joint could not
+# accelerate for all of it at once.
 #
-# Pure: cycles and increments are handed in.
+# Pure: the caller passes cycles and increments.
 
 SPREAD_CYCLES = 8
-"""In each cycle one part in so many of what is owed goes out. The speed is then greater by an eighth for an increment
-that is owed, and comes back by itself. All at once, or evenly until it is gone, asks for more than joints can brake."""
+"""In each cycle this part of the deferred motion is added. The speed is then greater by an eighth for one deferred
+increment, and falls back by itself. All at once, or evenly, would ask for more than joints can brake.
+"""
 
 _CARRIED_FOR_CYCLES = 5 * SPREAD_CYCLES
 """After so many cycles less than a hundredth is left, and goes out whole."""
 
 MOST_CARRIED_CYCLES = 12
-"""Increments whose turn was longer ago are refused: what they were for has passed. No more than so many of the greatest
-increments is ever owed."""
+"""Later increments are refused: they are of no use any more. At most this many greatest increments are deferred."""
 
 
 class CarriedMotion(Part):
@@ -78,12 +78,12 @@ class CarriedMotion(Part):
 
     @property
     def owed(self) -> tuple[float, ...] | None:
-        """(n,) motion still to go out [rad or m]; None if there is none."""
+        """(n,) deferred motion [rad or m]; None if there is none."""
         owed = self._owed - self._unasked
         return tuple(owed.tolist()) if owed.any() else None
 
     def asked(self, dq: Sequence[float]) -> None:
-        """An increment (n,) has no turn of its own any more: its motion is owed, as far as one cycle can have it."""
+        """Defer the motion of an increment (n,) that missed its turn, up to the greatest increment."""
         self._owe(np.array(dq, dtype=np.float64).clip(-self._max_dq, self._max_dq))
 
     def moved(self, dq: Array, cycles: int) -> None:
@@ -100,15 +100,16 @@ class CarriedMotion(Part):
         self._unasked, self._unasked_cycles = np.zeros_like(self._max_dq), 0
 
     def forget(self) -> None:
-        """Nothing is owed any more."""
+        """Drop all deferred motion."""
         self._owed, self._cycles_left = np.zeros_like(self._max_dq), 0
         self._unasked, self._unasked_cycles = np.zeros_like(self._max_dq), 0
 
     def add_to(self, dq: Sequence[float], last_dq: Sequence[float] | None) -> tuple[float, ...]:
-        """The increment whose turn it is, plus a part of the owed motion; unchanged if no motion is owed.
+        """The increment whose turn it is, plus a part of the deferred motion; unchanged if there is none.
 
-        A robot that has braked returns to its speed as fast as its limits allow, and the motion missed meanwhile is
-        owed too. All owed motion finally goes to the gate, which scales a sum that is too large, and reports this. An
+        A robot that has braked returns to its speed as fast as its limits allow, and the motion missed until then is
+        deferred, too. All deferred motion finally goes to the gate, which scales a sum that is too large, and
+        reports this. An
         increment that is too large for any cycle goes to the gate by itself.
 
         Args:
@@ -116,7 +117,7 @@ class CarriedMotion(Part):
             last_dq: (n,) the increment sent before [rad or m]; None if it is not known.
 
         Returns:
-            (n,) what to ask the gate for.
+            (n,) the increment to request from the gate.
         """
         asked = np.array(dq, dtype=np.float64)
         if not self._cycles_left or (np.abs(asked) > self._max_dq).any():
@@ -165,8 +166,8 @@ class Left:
 
     Attributes:
         asked: the increment.
-        fate: what becomes of it.
-        late_cycles: how long ago its turn was.
+        fate: refused, or deferred.
+        late_cycles: cycles since its turn.
     """
 
     asked: Asked
@@ -176,11 +177,11 @@ class Left:
 
 @dataclass(frozen=True, slots=True)
 class PlayoutTurn:
-    """What a cycle brings.
+    """The buffer's output in a cycle.
 
     Attributes:
-        asked: the increment whose turn it is, if there is one, with a part of what is owed.
-        left: those whose turn is over.
+        asked: the increment whose turn it is, if there is one, with a part of the deferred motion.
+        left: increments whose turn is over.
     """
 
     asked: Asked | None
@@ -230,9 +231,9 @@ class PlayoutBuffer(Part):
         return None if replaced is None else Left(replaced, Fate.SUPERSEDED)
 
     def moved(self, newest_cycle: int, plan: Plan) -> None:
-        """A state has come, with the plan of its robot: what it braked in cycles without an increment is unasked.
+        """Take a state with its robot's plan, and account for braking in cycles without an increment.
 
-        After a pause longer than motion is carried for nothing is owed either way.
+        After a longer pause than motion is carried for, all deferred motion is dropped.
         """
         empty = newest_cycle - self._passed_on_in - 1
         if self._passed_on_in < 0 or not 0 <= empty <= MOST_CARRIED_CYCLES:
@@ -243,7 +244,7 @@ class PlayoutBuffer(Part):
         self.carried.moved(before - brake_travel(dq, plan.brake_cycles, plan.step), empty)
 
     def turn(self, newest_cycle: int, last_dq: Sequence[float] | None = None) -> PlayoutTurn:
-        """A state has come: whose turn it is.
+        """Take a state, and return the increment whose turn it is.
 
         Where there are several, as after the delay has become shorter, the newest takes the turn of all, and the motion
         of the others is carried over.
@@ -277,7 +278,7 @@ class PlayoutBuffer(Part):
         return waiting
 
     def told(self) -> Playout:
-        """What clients are told: before `turn`, what the setpoint of the newest state has in it."""
+        """The report for clients: before `turn`, the increments in the setpoint of the newest state."""
         return Playout(
             delay_cycles=self._delay_cycles,
             waiting=len(self._waiting),

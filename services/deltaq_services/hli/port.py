@@ -15,7 +15,7 @@ from deltaq_services.outputs import Output, Sender
 
 
 class Port(Protocol):
-    """Core, who is who, loop, clock, and a way to carry out what the core decides."""
+    """The shell as the fronts see it: core, authentication, loop, clock, and execution of decisions."""
 
     core: HliCore
     authentication: Authentication
@@ -26,7 +26,7 @@ class Port(Protocol):
         """Monotonic time [s]."""
 
     def status(self) -> Status:
-        """The running cell, with what the fronts counted."""
+        """The running cell, with the fronts' counters."""
 
     def serve(
         self,
@@ -35,4 +35,4 @@ class Port(Protocol):
         sender: Sender | None = None,
         asked: Mapping[str, object] = MappingProxyType({}),
     ) -> None:
-        """Send what the core decides, see `HliCore.contained`."""
+        """Let the core decide, and send its messages; see `HliCore.contained`."""

@@ -45,7 +45,7 @@ from deltaq_services.hli.leases import Lease, Sequence
 from deltaq_services.hli.state import HliState
 from deltaq_services.outputs import ClientOrigin, Output, Sender, ToSender
 
-# What a follower's camera is asked to look at: whether it can be, and all wishes together.
+# Requested views of a camera: their check, and the sum of all requests.
 
 _NOT_ON_A_TOOL = "focus_m: a point that stands still is not on a tool; leader or aim_offset_m was given too"
 _EACH = "give each target either a `leader`, which may have an `aim_offset_m`, or a `focus_m`"
@@ -77,7 +77,7 @@ def problem_of(request: ViewRequest, cell: CellDescription) -> tuple[str, str] |
 
 
 def _problem_of_target(target: ViewTarget, others: Iterable[str]) -> str:
-    """Why nobody can look at it; empty if one can."""
+    """Why a target is not possible; empty if it is."""
     if target.leader is not None and target.leader not in others:
         return f"leader: {target.leader!r} is no other robot; there are {', '.join(others) or 'none'}"
     if target.focus_m is None:
@@ -88,7 +88,7 @@ def _problem_of_target(target: ViewTarget, others: Iterable[str]) -> str:
 
 
 def changed(before: ViewWish | None, request: ViewRequest) -> ViewWish:
-    """All wishes together: what a request leaves out stays, but that a new target ends those of another kind."""
+    """The view after a request: omitted values stay; a new target replaces targets of another kind."""
     given = {name: value for name in ViewWish.model_fields if (value := getattr(request, name)) is not None}
     ended: set[str] = set()
     if "targets" in given:
@@ -107,11 +107,11 @@ _GIVE_IT = f"over lines in the hello; to `deltaq` and in Python by {OPERATOR_TOK
 
 
 class Requests:
-    """Answers requests. Requests that the gate must carry out are answered when it has carried them out.
+    """Answers requests. A request to the gate is answered when the gate has carried it out.
 
     Args:
         state: of the HLI.
-        roles: determines who may `take`, `reset` and switch contacts, and who may have a lease at all.
+        roles: determines who may `take`, `reset` and switch contacts, and which clients may have a lease.
     """
 
     def __init__(self, state: HliState, roles: ClientRoles) -> None:
@@ -339,13 +339,13 @@ class Requests:
 
 @dataclass(frozen=True, slots=True)
 class RequestRow:
-    """One thing that a client may say.
+    """One kind of message from a client.
 
     Attributes:
         model: its message; a line has its `type`.
         topic: where it is asked over zenoh; None: elsewhere, or by other means.
         answer: the handler; None: the front or the core takes it itself.
-        proven: fields that hold what the client has shown, whatever its message says: the robot's `lease`, its `token`,
+        proven: fields that are replaced by the client's proven values: the robot's `lease`, its `token`,
             and over lines its name, `client`.
     """
 

@@ -1,7 +1,7 @@
 """One robot as the HLI sees it: its newest state, and the increments on their way to the gate.
 
-At most one increment goes to the gate per robot and cycle. A second one within the cycle is in hand until the next
-state, and no longer; of several only the newest is kept. Where the lease asked for a playout buffer, all wait there.
+At most one increment goes to the gate per robot and cycle. A second one within the cycle is carried over to the next
+state, and no further; of several only the newest is kept. With a jitter buffer all wait there.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from deltaq_services.containment import Part
 from deltaq_services.hli.playout import Asked, CarriedMotion, PlayoutBuffer
 from deltaq_services.outputs import Sender
 
-# The setpoints to come, as far as the gate's verdicts tell them, in a cell with a lookahead.
+# Future setpoints by the gate's verdicts, in a cell with a lookahead.
 #
-# Clients are told them so that they know what their next increment is added to. No robot is kept safe by them: the gate
-# has its own account.
+# Clients get them to know the setpoint to which their next increment is added. They are not safety-relevant: the gate
+# keeps its own account.
 
 
 class AdmittedAhead(Part):
@@ -56,7 +56,7 @@ class AdmittedAhead(Part):
             self._verdicts, self._decided, self._chain_cycle = {}, -1, 0
         due = self._verdicts.get(state.cycle)
         if due is not None and due.dq != state.dq:
-            # as the gate does: what follows is given all the time there is
+            # as the gate does: the next increment has the whole time
             self._verdicts, self._decided, self._chain_cycle = {}, last - 1, state.cycle
         self._verdicts = {cycle: verdict for cycle, verdict in self._verdicts.items() if cycle >= state.cycle}
 
@@ -94,15 +94,15 @@ class RobotLink(Part):
         joints: number of joints, n.
         max_age_cycles: an increment that answers a cycle older than this is stale.
         max_state_age_s: a robot whose newest state is older than this is taken for offline.
-        max_playout_cycles: this bound under a lease with a playout buffer, including the time in the buffer.
-        carried: what begins to take the motion of increments that come after their turn in a buffer.
-        admitted: what is known of future setpoints; None without a lookahead.
+        max_playout_cycles: the same bound under a lease with a jitter buffer, including the time in the buffer.
+        carried: makes the store of deferred motion.
+        admitted: the known future setpoints; None without a lookahead.
 
     Attributes:
         joints: as given.
         playout: keeps the increments of the lease until their turn; None if the lease did not ask for it.
-        sight: how well the controller sees what it looks at; None if it says nothing.
-        target: what it looks at; None if it says nothing.
+        sight: how well the controller sees its target; None if it does not say.
+        target: its target; None if it does not say.
         view: the requested view of its camera; None before the first request.
         state, received_s: newest state of the robot, and when it came [s].
     """
@@ -196,7 +196,8 @@ class RobotLink(Part):
     def outdated(self, waited: Asked, time_s: float) -> Reason | None:
         """Why an increment that waited cannot be passed on now, or None if it can.
 
-        Without a playout buffer it is in hand for one cycle, and the state after the one in which it came may be lost.
+        Without a jitter buffer it is carried over for one cycle, and the state after the one in which it came may be
+        lost.
         """
         if self.playout is not None:
             return self.cannot_move(time_s)
@@ -221,7 +222,7 @@ class RobotLink(Part):
             self.playout.moved(state.cycle, state.plan)
 
     def decided(self, verdict: Verdict) -> tuple[bool, Sender | None]:
-        """The gate has decided; returns whether a verdict for this sequence number was awaited, and by whom."""
+        """Take a decision of the gate; returns whether its verdict is awaited, and by which client."""
         if self._admitted is not None and self.state is not None:
             self._admitted.decided(verdict, self.state)
         if verdict.seq not in self._awaited:
@@ -268,7 +269,7 @@ class RobotLink(Part):
         return waited
 
     def take_waiting(self) -> Asked | None:
-        """Take the increment in hand, if there is one."""
+        """Take the increment that was carried over, if there is one."""
         asked, self._waiting = self._waiting, None
         return asked
 

@@ -1,7 +1,7 @@
 """The shell of the HLI: sockets, sessions and time. It decides nothing.
 
-Messages of zenoh are taken in zenoh's threads, lines and questions in the event loop. A lock lets one thread at a time
-decide, and send what was decided.
+Zenoh's messages are taken in zenoh's threads, lines and queries in the event loop. A lock lets one thread at a time
+decide, and send the result.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Hli:
         cell: description of the cell.
         told: the cell's description for clients.
         tool_pose: pose of a robot's tool from its name and its n joints `q` [rad or m].
-        roles: of clients; None: everybody is an operator.
+        roles: of clients; None: every client is an operator.
         encryption: of the lines over TCP; None: they are in the clear.
         audit_file: of the audit log; None: it goes to recorders alone.
         identities: of clients; None: they prove roles by tokens alone.
@@ -133,7 +133,7 @@ class Hli:
         return self.loop.time()
 
     def status(self) -> Status:
-        """The running cell, with what the fronts counted."""
+        """The running cell, with the fronts' counters."""
         with self._lock:
             return self.core.status(self.now(), self._front_counters())
 
@@ -144,9 +144,9 @@ class Hli:
         sender: Sender | None = None,
         asked: Mapping[str, object] = MappingProxyType({}),
     ) -> None:
-        """Send what the core decides, in its order; what fails on its way is lost, see `HliCore.contained`.
+        """Let the core decide, and send its messages in order.
 
-        Any thread may call this.
+        A message that fails is lost, see `HliCore.contained`. Callable from any thread.
         """
         with self._lock:
             if self._ended:
@@ -186,7 +186,7 @@ class Hli:
         return *self.roles.tokens, *self.core.leases.tokens()
 
     def _tell_of_unproven(self) -> None:
-        """Increments without a proof: zenoh's threads count them, and nobody decodes them."""
+        """Report increments without a proof: zenoh's threads count them without decoding them."""
         before, self._unproven = self._unproven, self._open.unproven
         if self._unproven > before:
             deed = Deed(

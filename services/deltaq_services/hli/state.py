@@ -79,7 +79,7 @@ def unknown_robot(robot: str) -> Reason:
 
 
 def at_fault(dq: object, robot: RobotDescription, code: ReasonCode) -> Reason:
-    """What is wrong with a `dq` that could not be decoded.
+    """The fault of a `dq` that could not be decoded.
 
     Args:
         dq: the value received.
@@ -116,7 +116,7 @@ class HliState(Part):
         identity: its name and hash.
         new_token: makes a secret, different each time.
         first_epoch: greater than any lease epoch or command id used before, as far as that can be known.
-        tell: takes what was done or tried, for the audit log.
+        tell: takes actions, for the audit log.
     """
 
     def __init__(
@@ -164,7 +164,7 @@ class HliState(Part):
         return None
 
     def tick(self, time_s: float) -> list[Output]:
-        """Let leases and commands run out, and send again what stops the gate has not answered."""
+        """End expired leases and commands, and repeat the stops that the gate has not answered."""
         outputs: list[Output] = []
         for lease in self.leases.expired(time_s):
             self.counters["leases_expired"] += 1
@@ -178,7 +178,7 @@ class HliState(Part):
         return [*outputs, *answers, *stops]
 
     def learn_epoch(self, verdict: Verdict) -> list[Output]:
-        """Where the gate knows of a greater epoch than was ever granted here, end what is numbered below it."""
+        """If the gate knows a greater epoch than any granted here, end all leases and commands numbered below it."""
         outputs: list[Output] = []
         for reason in verdict.reasons:
             if reason.code is ReasonCode.LEASE_NOT_HELD and reason.bound is not None:
@@ -238,7 +238,7 @@ class HliState(Part):
         return outputs + self.command(command, None, Done(what="stop"), time_s)
 
     def hold(self, robot: str, time_s: float) -> list[Output]:
-        """Order a robot to stop after an error that nobody foresaw, and forget the increments that wait for it.
+        """Order a robot to stop after an unexpected error, and drop its waiting increments.
 
         It is not ordered again while the gate has not answered.
         """
@@ -262,7 +262,7 @@ class HliState(Part):
         return [ToSender(lease.connection, error)]
 
     def tell_of_lease(self, what: AuditKind, origin: ClientOrigin, robot: str, text: str = "") -> None:
-        """Tell what became of a lease."""
+        """Record the end or change of a lease in the audit log."""
         self.tell(Deed(what, AuditOutcome.DONE, origin, robot, text=text))
 
     def drop_all(self, reason: Reason) -> list[Output]:
@@ -278,9 +278,9 @@ class HliState(Part):
     def command(
         self, command: Command, sender: Sender | None, done: Done | IoReply | None, time_s: float
     ) -> list[Output]:
-        """Send a command to the gate and remember whom to tell `done`, or the reply's verdict, when it has answered.
+        """Send a command to the gate and remember the client that gets its answer, `done` or a verdict.
 
-        Where a service has read another cell, nothing but a stop is sent.
+        If a service has read another cell, only a stop is sent.
         """
         if error := self._error_of(command, time_s):
             return self._refused(command, sender, error)

@@ -129,7 +129,7 @@ class TcpConnection(asyncio.Protocol, Sender):
             self._port.serve(lambda: take(StopRequest(), self._port.now(), self), robots, self)
         if self._for_stop_alone:
             self._lines.forget_whole()
-            if len(self._lines) > MAX_LINE_BYTES:  # what has begun is too long for a stop
+            if len(self._lines) > MAX_LINE_BYTES:  # the partial line is too long for a stop
                 self.close()
         elif self._has_line():
             self._front.wants_turn(self)
@@ -208,7 +208,7 @@ class TcpConnection(asyncio.Protocol, Sender):
             text = f"a line of {length} bytes or more; at most {MAX_LINE_BYTES} are allowed"
             self._give_up(text, "end every message with a newline")
             return False
-        # what waits in the system's buffers keeps its sender waiting, and nobody else
+        # unread data in the system's buffers delays only its sender
         if is_whole and len(self._lines) > MAX_LINE_BYTES:
             self._transport.pause_reading()
         else:
@@ -240,7 +240,7 @@ class TcpConnection(asyncio.Protocol, Sender):
         if message_type is Hello:
             return self._greet(hello_of(data))
         if message_type is StopRequest:
-            # anybody may stop, and a stop is obeyed whatever else the line says
+            # any client may stop, and a stop is obeyed whatever its other fields are
             return core.take(StopRequest(), now, self)
         if message_type is ChallengeRequest:
             return self._told(Challenge(challenge=self._port.authentication.challenge(now).hex()))

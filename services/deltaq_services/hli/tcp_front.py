@@ -23,7 +23,7 @@ from deltaq_services.rate_limit import Tries
 _log = logging.getLogger(__name__)
 
 _LINES_A_TURN = 16
-"""Lines served before the loop turns to others: robots' states, and who else is there."""
+"""Lines served in a turn, before the loop serves states and other clients."""
 _HANDSHAKES_A_SECOND = 64.0
 """Connections with which an encryption is agreed on; each takes a millisecond or two."""
 _WAIT_S = 0.005
@@ -34,7 +34,7 @@ class TcpFront:
     """The TCP server and its connections.
 
     Attributes:
-        counters: what it counted.
+        counters: of the server and its connections.
     """
 
     def __init__(self, port: Port) -> None:

@@ -31,18 +31,18 @@ _THREADS = "(rx: (worker_threads: 14), net: (worker_threads: 2), acc: (handover:
 
 
 def let_threads_wait() -> None:
-    """Have zenoh read sessions in threads that do nothing else; before the first session is opened.
+    """Make zenoh read sessions in threads of their own; call it before the first session is opened.
 
-    Threads that read and also look for what has come would keep other sessions waiting with the one that floods.
+    Shared threads would let a session that floods delay all others.
     """
     os.environ.setdefault(THREADS, _THREADS)
 
 
 class FloodWait:
-    """Lets messages of strangers pass at a rate; zenoh's threads ask, one for each session.
+    """Bounds the rate of messages from unproven senders; zenoh's threads call it, one for each session.
 
     Args:
-        most_s: messages a second that nobody waits for, of all sessions together, and the most at once.
+        most_s: messages a second of all sessions together that pass without a delay; also the greatest burst.
     """
 
     def __init__(self, most_s: float) -> None:
@@ -60,7 +60,9 @@ class FloodWait:
 _WAITING = 256
 """Queries of one topic that may wait for the loop; at rest there is none."""
 _QUERIES_S = 200.0
-"""Of one topic, of all who prove nothing, and as many of all others: whoever asks more has to wait, and nobody else."""
+"""Queries a second of one topic from unproven senders, and as many from all others; only a client that asks more has
+to wait.
+"""
 _QUERIES_A_TURN = 4
 """Of one topic, before the loop turns to others: robots' states do not wait for a flood of questions."""
 
@@ -142,7 +144,7 @@ class HliSession:
         self._publisher(topic, **fields).put(pack(message))
 
     def publish_once(self, topic: Topic, message: Message, **fields: str) -> None:
-        """Publish a message on a key that is not one of ours, without keeping anything for the next time."""
+        """Publish a message under a key that was not declared, without keeping a publisher."""
         self._session.put(topic.key(self._cell, **fields), pack(message), **sending(topic.priority))
 
     def counters(self) -> Counter[str]:

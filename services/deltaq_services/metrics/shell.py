@@ -1,6 +1,6 @@
 """A cell's metrics for Prometheus: one connection to the HLI, and a web server that Prometheus reads.
 
-The status is asked for when somebody reads, and no oftener. The HLI may come, go and come back meanwhile.
+The status is requested once for each scrape. The HLI may stop and come back at any time.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
 from deltaq_protocol.messages import Phase, RobotStatus, Status
 from deltaq_services.counters import HLI, ROBOT_SERVER, SIM
 
-# How long after a robot's state its verdict came, where both are heard.
+# Delays between a robot's states and their verdicts.
 
 _KEPT = 64
 """Cycles whose verdicts may still come."""
@@ -43,7 +43,7 @@ class Delays:
         return interval_s
 
     def verdict(self, cycle: int, time_s: float) -> float | None:
-        """A verdict on that cycle has come; returns how long after its state [s], None if that was not heard."""
+        """Take a verdict; returns its delay after the state of its cycle [s], None if that state is unknown."""
         came_s = self._came.get(cycle)
         return None if came_s is None else time_s - came_s
 
@@ -55,9 +55,9 @@ _Sample = tuple[_Labels, float]
 def families(status: Status | None) -> Iterator[Metric]:
     """A cell's status as families of metrics.
 
-    What an alarm or a plot asks for has a family of its own. Every counter of every service is in
-    `deltaq_counter_total` as well, under the name that the reference explains. No label is ever text that a client
-    chose: whoever may name itself could make series without end.
+    Every quantity that an alarm or a plot needs has a family of its own. Every counter of every service is in
+    `deltaq_counter_total` as well, under the name that the reference explains. No label is text that a client chose:
+    it could create series without end.
 
     Args:
         status: status of the cell; None if no answer came, which the metrics show too.
@@ -258,7 +258,7 @@ class Exporter(Collector):
         return families(self._status())
 
     def describe(self) -> Iterator[Metric]:
-        """Nothing: what there will be is known when the cell answers."""
+        """Describe nothing in advance: the families are known when the cell answers."""
         return iter(())
 
     async def run(self, address: str, port: int) -> None:

@@ -40,7 +40,7 @@ from deltaq_services.recorder.writer import CELL_FILE, HULLS_FILE, METADATA
 _HULLS: TypeAdapter[dict[str, dict[str, Corners]]] = TypeAdapter(dict[str, dict[str, Corners]])
 _LONGEST_RECORD = 64 * 1024 * 1024
 _LONGEST_CHUNK = 16 * 1024 * 1024
-"""Of its unpacked bytes: some sixty times what the recorder writes."""
+"""Greatest size of an unpacked chunk [bytes]: some sixty times that of the recorder."""
 _UNPACK: dict[str, Callable[..., Any]] = {"zstd": zstandard.open, "lz4": lz4.frame.open}
 _UNREADABLE = (
     McapError,

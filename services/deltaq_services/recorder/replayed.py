@@ -24,9 +24,9 @@ from deltaq_services.recorder.reader import Recording
 
 PERIOD_S = 0.04
 MOST_TICKS = 60_000
-"""A recording of more than 40 minutes is told at greater steps."""
+"""Greatest number of steps; a recording of more than 40 minutes gets longer steps."""
 STALE_S = 0.25
-"""A robot without a state for so long is shown as one that is not heard."""
+"""A robot without a state for this time is shown as silent."""
 VERDICT_S = 0.5
 SAME_S = 2.0
 """The same reason again within this is one line of the list."""

@@ -89,10 +89,10 @@ class Recorder:
         self.writer.close()
 
     def run(self, duration_s: float | None = None, on_progress: Callable[[], None] | None = None) -> None:
-        """Write the messages that come, for ever or for `duration_s`; at the end, those too that came and still wait.
+        """Write messages, for ever or for `duration_s`; at the end also those that still wait.
 
         Raises:
-            RecordingError: the file cannot be written to any more.
+            RecordingError: the file can no longer be written.
         """
         end_s = None if duration_s is None else time.monotonic() + duration_s
         # an input of the gate is written with all of its outputs, or a replay would find some missing
@@ -109,7 +109,7 @@ class Recorder:
             self._write_what_waits()
 
     def _write_what_waits(self) -> None:
-        """Write what has come by now; the cell goes on, and more would come for ever."""
+        """Write the messages that wait now, and no later ones: the cell sends on and on."""
         for _ in range(self._came.qsize()):
             self._write_next(within_s=0.0)
 

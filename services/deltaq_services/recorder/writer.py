@@ -225,7 +225,7 @@ class RecordingWriter:
             write(*arguments)
         except OSError as error:
             self._open = False
-            with contextlib.suppress(OSError):  # what is still buffered is lost with the rest
+            with contextlib.suppress(OSError):  # buffered messages are lost with the rest
                 self._file.close()
             raise RecordingError(
                 f"{self._path} cannot be written to any more: {error.strerror}; what was written so far can be read"

@@ -1,9 +1,9 @@
-"""The Robot Server's decisions: what setpoint each cycle gets, and in which phase the robot is.
+"""The Robot Server's decisions: the setpoint of each cycle, and the robot's phase.
 
 Pure: no clock, no socket. One call of `cycle` is one telegram of the KRC. It takes what has arrived from the
 gate by then and returns at once the setpoint to send: the admitted increment, or the next step of the
-brake that was verified with the last one. Before a robot on RSI may be ready in a session, a probe too small to be
-an increment finds out what its corrections do.
+brake that was verified with the last one. Before a robot on RSI becomes ready in a session, a probe below the size
+of an increment finds out what its corrections do.
 """
 
 from __future__ import annotations
@@ -161,17 +161,17 @@ class RobotServer(Part):
         return q_cmd
 
     def take(self, message: Admission | Supervision | Measurement, time_s: float) -> list[ToRobot]:
-        """Take what has come: an admission waits for its cycle, the newest heartbeat counts, a measurement is a cycle.
+        """Take a message: an admission waits for its cycle, the newest heartbeat counts, a measurement is a cycle.
 
-        A message that an error nobody foresaw comes of is refused, and the robot is held. A cycle that fails is one of
-        the brake; what fails at that too is raised, since another process brakes the robot when this one has ended.
+        A message that causes an unexpected error is refused, and the robot is held. A cycle that fails continues the
+        brake. If that fails, too, the error is raised: another process brakes the robot when this one has ended.
 
         Args:
             message: of the gate, or of the robot's driver.
             time_s: when it came, for the published state only.
 
         Returns:
-            What to send to the robot. The `state` is made when it is asked for, after that.
+            The setpoint and outputs to send to the robot; `state` is computed afterwards, when it is read.
 
         Raises:
             TypeError: for a message of a type that is not sent here.
@@ -197,7 +197,7 @@ class RobotServer(Part):
         return self._take(message, time_s)
 
     def failed(self, error: Exception) -> None:
-        """Hold the robot after an error that nobody foresaw; nothing that the gate has said goes on."""
+        """Hold the robot after an unexpected error, and drop all admissions."""
         self.containment.note(error)
         self.counters["internal_errors"] += 1
         self._stop(ReasonCode.INTERNAL_ERROR)
@@ -242,7 +242,7 @@ class RobotServer(Part):
         self._stop(ReasonCode.REPLY_REFUSED)
         if self._mode.mode is Mode.ABSOLUTE:
             self._q_reset = q_sent.copy()
-        else:  # what differs is the probe's, which goes on and is undone
+        else:  # the difference is the probe's, which continues and is undone
             self._pulses.sent(q_sent, self._held_at)
         self._rest()
         self._state = None
@@ -303,7 +303,7 @@ class RobotServer(Part):
             self._lag = self._new_lag_watch(self._held_at, self._mode.lags)
 
     def _watch_lag(self) -> None:
-        """Measure the lag in the last cycle: after its reply, and before its state is told."""
+        """Measure the lag in the last cycle, after its reply and before its state is published."""
         last, self._unwatched = self._unwatched, None
         if last is None or self._lag is None:
             return

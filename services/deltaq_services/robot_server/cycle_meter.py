@@ -1,7 +1,7 @@
-"""How long a KRC's cycle is, by its IPOC and by the clock, and whether that is the cell's.
+"""Measures a KRC's cycle, by its IPOC and by the clock, and compares it with the cell's.
 
-A KRC that ticks three times as fast moves its robot three times as fast with the same increments. Evidence counts by
-what it can do:
+A KRC that ticks three times as fast moves its robot three times as fast with the same increments. Evidence is judged
+as follows:
 
 | by the IPOC | by the clock | what it is |
 | --- | --- | --- |
@@ -9,7 +9,7 @@ what it can do:
 | any | faster than the cell, for longer than a pause is made up for | another cycle |
 | slower | slower | another cycle |
 | the cell's, or a count | slower | a busy machine, which no robot is held for |
-| slower | the cell's | a count of another kind |
+| slower | the cell's | another kind of count |
 
 An IPOC that grows by 1, or as `driver.ipoc_step` says, is a count and says nothing of time. Any other grows by the
 cycle in ms.

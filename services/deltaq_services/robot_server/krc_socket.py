@@ -45,19 +45,20 @@ class KrcSocket:
 
     Args:
         driver: where to listen, and for whom.
-        silence_s: after which the KRC may come from another port.
+        silence_s: time of silence after which the KRC may use another port.
         rsi: reads telegrams.
-        counters: where everything else is counted.
-        patience_s: to wait for the address: the brake after a Robot Server's death holds it until its robot rests.
+        counters: are added to.
+        patience_s: greatest time to wait for the address: after a Robot Server's death the brake process holds it
+            until the robot rests.
 
     Attributes:
         peer: the sender that is answered.
         newest: the datagram that was read last; empty if none was valid.
         came_s: when it came, on the monotonic clock.
-        watch: where a record of every setpoint is left before it is sent; None if none is.
+        watch: gets a record of every setpoint before it is sent; None for none.
 
     Raises:
-        ServiceUnreachableError: if the address cannot be had, or that of the KRC is not known.
+        ServiceUnreachableError: if the address is in use, or that of the KRC is not known.
     """
 
     def __init__(
@@ -108,7 +109,7 @@ class KrcSocket:
         return "; ".join(filter(None, (watch, self._rsi.detail, self.peer.stranger, ipoc, tick)))
 
     def read(self, now_s: float) -> Measurement | None:
-        """Read the newest telegram among all that waits.
+        """Read the newest of all waiting telegrams.
 
         Args:
             now_s: on a monotonic clock.
@@ -150,7 +151,7 @@ class KrcSocket:
         assert self._sender is not None  # there is no reply without a telegram
         try:
             self._sock.sendto(reply, self._sender)
-        except OSError:  # no route, no buffer, nobody there: to the KRC it is a lost reply
+        except OSError:  # no route, no buffer, no receiver: to the KRC it is a lost reply
             self._counters["replies_unsent"] += 1
 
     def _drain(self, now_s: float) -> deque[tuple[bytes, Address]]:
@@ -235,7 +236,7 @@ class RsiRobot:
         return measured
 
     def is_lost(self, now_s: float) -> bool:
-        """Whether the KRC has been silent for so long; then it counts anew."""
+        """Whether the KRC has been silent for this time; if so, the time starts again."""
         if now_s < self._silent_s:
             return False
         self._silent_s = now_s + self._silence_s

@@ -6,10 +6,11 @@ is at `p(t)`. Drives of the dead time `m` are then near `p(t - m)`. With a guess
     p(t - g) - q(t) = (m - g) p'(t - g)
 
 so that `m` is a quotient of two sums over the newest cycles, each weighted with the square of its speed: fast motion
-tells, rest does not, and noise that has nothing to do with the motion averages out. The next guess is the result.
+has more weight than slow motion, and noise that is independent of the motion averages out. The result is the next
+guess.
 
-The session's probe told the response and the damping of the model, and how much longer a step takes to settle than the
-mean delay (`deltaq_cell.drive_lag`). What is told is the dead time of the moving axis and the rest of that lag. Without
+The session's probe gave the response and the damping of the model, and the difference of settling time and mean
+delay (`deltaq_cell.drive_lag`). The result is the dead time of the moving axis plus that lag. Without
 the second order, acceleration would pass for lag: drives that swing would seem to lag up to 30 ms more than they do.
 """
 

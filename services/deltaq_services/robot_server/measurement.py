@@ -1,4 +1,4 @@
-"""The door between a Robot Server and its robot: what a driver does, and what it tells of the robot once a cycle."""
+"""The interface between a Robot Server and its robot: the driver, and its measurement in each cycle."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Driver(Protocol):
         ...
 
     def write(self, q_cmd: Array, outputs: Mapping[str, bool], stop: bool) -> bool:
-        """Make what the robot is sent; whether it is the setpoint `q_cmd` (n,), and not the last one again."""
+        """Make the reply to the robot; returns False if it repeats the last setpoint instead of `q_cmd` (n,)."""
         ...
 
     def send(self, motion: SetpointMotion) -> None:
@@ -51,7 +51,7 @@ class Driver(Protocol):
         ...
 
     def mend(self, now_s: float) -> None:
-        """See to what has ended beside this process, between two cycles."""
+        """Restart helper processes that have ended; called between two cycles."""
         ...
 
 

@@ -1,8 +1,8 @@
 """Finds out, before a session's first motion, how the KRC takes corrections, and how far its drives lag.
 
-A KRC takes them as offsets, or adds them up.
-One trial follows the other (`deltaq_services.robot_server.probe_trial`), until one of them tells. All that a trial adds
-sums up to zero, so it is undone whatever the KRC does with it, and no joint gets further than `PROBE_RAD` or `PROBE_M`.
+A KRC takes them as offsets, or adds them up. Trials (`deltaq_services.robot_server.probe_trial`) are repeated until
+one gives a result. The additions of a trial sum up to zero, so they are undone in either mode, and no joint gets
+further than `PROBE_RAD` or `PROBE_M`.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ _SAME = 1e-9
 
 
 class PulsesCutShort(Part):
-    """Pulses of a probe that another session of the KRC cut short: the next setpoint in the first session undoes them.
+    """Interrupted pulses of a probe, which the next setpoint in their KRC session undoes.
 
-    Without that each would be part of where the session after it begins, and whoever can begin sessions could walk the
-    robot by as many pulses as they like, though nothing was admitted.
+    Otherwise each would shift the start of the next session, and a sender that starts sessions could move the robot
+    without any admission.
     """
 
     def __init__(self) -> None:
@@ -46,7 +46,7 @@ class PulsesCutShort(Part):
         self._cut: deque[_Pair] = deque(maxlen=SESSIONS)
 
     def sent(self, q_cmd: Array, setpoint: Array) -> None:
-        """A reply: `q_cmd` (n,) was sent, which is the `setpoint` (n,) and what a probe adds to it [rad or m]."""
+        """Note a reply: `q_cmd` (n,) was sent, the sum of the `setpoint` (n,) and the probe's pulse [rad or m]."""
         self._last = tuple(q_cmd.tolist()), tuple(setpoint.tolist())
 
     def cut_short(self) -> None:
@@ -70,7 +70,7 @@ _ADRIFT_CYCLES = 3
 """Cycles in a row in which it has to be there: a single telegram may be a forged one."""
 
 _PAUSE_WINDOWS = 2
-"""Windows to wait after a trial that told nothing."""
+"""Windows to wait after a trial without a result."""
 
 _IPOC_WRAP = 2**32
 
@@ -108,12 +108,12 @@ class ModeProbe(Part):
         robot: its joints.
         cycle_s: sample time.
         lag_cycles: cycles within which the gate presumes the drives to be where they were sent.
-        q: (n,) measured where the session begins, at rest [rad or m].
+        q: (n,) measured configuration at the begin of the session, at rest [rad or m].
 
     Attributes:
-        mode: what was found out; it stays what it is once it is not unknown.
+        mode: the result; constant once it is known.
         unseen: names of the joints that did not follow the last trial; empty before the first has ended.
-        lags: of each joint; None where the trial did not tell, none before the mode is known.
+        lags: of each joint; None without a result, empty before the mode is known.
         trial_cycles: telegrams of a trial; with the last of them it is judged.
     """
 
@@ -202,7 +202,7 @@ class ModeProbe(Part):
         if self._ended and self.idle:
             return
         if self._cycle >= 0:
-            # what did not reach the KRC in time it replaced by the value before, or by none
+            # the KRC replaced late values by the value before, or by zero
             self._void |= lost and bool(self._course[max(self._cycle - 2, 0) : self._cycle].any())
             self._samples.append(tuple(q.tolist()))
             self._cycles.append(self._cycles[-1] + max(passed, 1) if self._cycles else 0)

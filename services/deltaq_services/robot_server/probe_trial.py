@@ -1,4 +1,4 @@
-"""One trial of how a KRC takes corrections: what it adds to the setpoint, and what the measured samples tell.
+"""One trial of a KRC's mode of corrections: the pulse that it adds to the setpoint, and the evaluation of samples.
 
 A constant correction is a place where RSI is absolute, `RSI_ON(#ABSOLUTE)`, and a constant speed where it is relative.
 So each trial adds a short pulse to the setpoint, waits until the drives have followed, and then adds its negative:
@@ -9,12 +9,13 @@ So each trial adds a short pulse to the setpoint, waits until the drives have fo
 | adds up | displaced by the pulse's sum | back where it was | is not looked at |
 | moves nothing | where it was | where it was | none |
 
-Drives smear a pulse, but linear ones of gain one keep its area, so that it does not matter how they lag as long as they
-are done within a window. A joint that sags, or is noisy, does not do the same with its sign turned in the second half;
-such a trial tells nothing, and there is another.
+Drives smear a pulse, but linear ones of gain one keep its area, so their lag does not matter if it ends within a
+window. A joint that sags, or is noisy, does not mirror its motion in the second half; such a trial has no result,
+and is repeated.
 
 The area that has come in by some time after a pulse is the share of a step that has arrived by then: the same trial
-tells the lag of each joint (`deltaq_cell.drive_lag`). A pulse lasts some cycles: a lag reads long by up to half of it.
+    measures the lag of each joint (`deltaq_cell.drive_lag`). A pulse lasts some cycles: a lag reads long by up to
+    half of it.
 """
 
 from __future__ import annotations

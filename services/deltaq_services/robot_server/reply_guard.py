@@ -18,7 +18,7 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class ReplyFault:
-    """Why a correction must not be sent: which joint, what is wrong, the value and its bound [rad or m]."""
+    """Why a correction must not be sent: joint, fault, value and bound [rad or m]."""
 
     joint: int
     what: Literal["is not finite", "leaps", "is below its limit", "is above its limit"]

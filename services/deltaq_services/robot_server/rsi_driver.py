@@ -83,11 +83,11 @@ class RsiDriver(Part):
         codec: telegrams of the robot.
         cell: the cell.
         robot: the robot's name.
-        counters: where telegrams that were not believed are counted.
+        counters: gets the counts of rejected telegrams.
 
     Attributes:
-        unmoved: answer to a telegram that was read as None: the correction that the KRC has; None: do not answer.
-        implausible: why the telegram read last cannot be true; empty if nothing is known against it.
+        unmoved: answer to a telegram that `read` rejected: the present correction; None: do not answer.
+        implausible: why the last telegram is not plausible; empty if it is.
         fault: why the guard refused the last setpoint; None if it did not.
         session: beliefs about the telegrams.
         meter: of the KRC's cycle; None: it ticks as the cell says.
@@ -129,9 +129,9 @@ class RsiDriver(Part):
             time_s: when it came, on a monotonic clock.
 
         Returns:
-            What it measures; None if it must not be answered with a setpoint, but with `unmoved`: it came twice or was
-            overtaken, reports no joints (the first telegram of a KR C2), says what cannot be true, or may be of a
-            session that is not believed yet.
+            The measurement; None if the answer must be `unmoved` instead of a setpoint: the telegram is repeated or
+            out of order, reports no joints (the first telegram of a KR C2), is not plausible, or may be of a session
+            that is not confirmed yet.
 
         Raises:
             TelegramError: if it is no telegram of this robot.
@@ -257,7 +257,7 @@ class RsiDriver(Part):
         self._upper = np.minimum(np.array(self._plausible.upper) - origin, self._widest).tolist()
 
     def _kept(self, telegram: KrcTelegram) -> Array | None:
-        """(n,) correction that the KRC has, by where the robot stands; None if that cannot be told."""
+        """(n,) the KRC's present correction, from the robot's position; None if it is ambiguous."""
         q, programmed, sent = telegram.q, telegram.q_programmed, self._sent
         assert q is not None  # asked only of telegrams with a position
         if programmed is None:
@@ -276,7 +276,7 @@ class RsiDriver(Part):
         return self._zero if off_programmed <= 1.0 else None
 
     def _implausible(self, telegram: KrcTelegram, why: str) -> None:
-        """Count a telegram that says what cannot be true; while a session goes on its answer is the last correction."""
+        """Count a telegram that is not plausible; within a session its answer is the last correction."""
         self._counters["telegrams_implausible"] += 1
         self.implausible = why
         if self.session.belief is Belief.BELIEVED and self._sent is not None:

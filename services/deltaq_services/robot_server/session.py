@@ -1,7 +1,7 @@
-"""Sessions of a KRC: when one is believed to have begun, and which telegrams belong to it.
+"""Sessions of a KRC: recognizes the begin of a session, and the telegrams that belong to it.
 
-A session is RSI running from one RSI_ON to its end: its corrections are offsets from where it began. Believing in a
-new one changes what every correction means, so one telegram is never enough.
+A session is RSI running from one RSI_ON to its end: its corrections are offsets from its start position. A new
+    session changes the meaning of every correction, so one telegram is never enough to accept it.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ RESOLUTION_M = 0.0002
 
 @dataclass(frozen=True, slots=True)
 class PositionFault:
-    """Why a reported position is not believed: which joint, what is wrong, the value and its bound [rad or m]."""
+    """Why a reported position is rejected: joint, fault, value and bound [rad or m]."""
 
     joint: str
     what: str
@@ -49,13 +49,13 @@ class PositionFault:
 class Plausibility:
     """Bounds of plausible positions and motions of one robot's joints, each (n,) [rad or m].
 
-    A KRC's telegram has no checksum beyond UDP's, and anybody on the network can write one. A position is
-    believed if it lies where the robot can be, and no further from the last one than the joints can have moved since.
+    A KRC's telegram has no checksum beyond UDP's, and any host on the network can forge one. A position is accepted
+    if the robot can be there, and if the joints can have moved there since the last one.
 
     Attributes:
         joints: names, for messages.
-        lower: least position that is believed.
-        upper: greatest position that is believed.
+        lower: least accepted position.
+        upper: greatest accepted position.
         reach: largest motion of a joint in one cycle.
         resolution: rounding of a distance by the telegram's decimals.
     """
@@ -155,8 +155,8 @@ class Peer(Part):
 
 
 CONFIRMATIONS = 4
-"""Telegrams in a row that agree before a session is believed. Two agree when one is duplicated, three give the
-IPOC's step twice; the fourth is for one that was made up or garbled among them. A KRC that permits ten late
+"""Number of consistent telegrams in a row before a session is accepted. Two agree when one is duplicated, three give
+the IPOC's step twice; the fourth allows for one forged or garbled telegram. A KRC that permits ten late
 replies, as it does unless told otherwise, waits for four."""
 
 PACE = 0.5
@@ -198,8 +198,7 @@ class TelegramKind(StrEnum):
     FOREIGN = "foreign"
     """It belongs to another session, or to none."""
     CONFIRMED = "confirmed"
-    """It completes the number of telegrams that agree and stand still, while the session is silent: another is
-    believed."""
+    """Enough consistent telegrams at rest have come while the session was silent: a new session is accepted."""
 
 
 class Answer(StrEnum):
@@ -267,14 +266,14 @@ class Session(Part):
 
     Args:
         cycle_s: sample time.
-        silence_s: after which a KRC counts as silent.
-        ipoc_step: by how much the IPOC grows in a cycle; None: learned from the telegrams that a session begins with.
-        plausible: where the robot can be.
-        near: (n,) how far it may be from where it was sent [rad or m].
+        silence_s: time after which a KRC counts as silent.
+        ipoc_step: increase of the IPOC in a cycle; None: learned from the first telegrams of a session.
+        plausible: bounds of positions.
+        near: (n,) greatest distance from the setpoint [rad or m].
 
     Attributes:
-        belief: what is believed now.
-        step: by how much the IPOC grows in a cycle; None while it is not known.
+        belief: the present state of the session.
+        step: increase of the IPOC in a cycle; None while it is not known.
         last: the newest telegram of the session; None before the first.
     """
 
@@ -382,9 +381,7 @@ class Session(Part):
     def _confirmed(self, time_s: float) -> bool:
         run = self._run
         if self.last is not None and time_s - self._time_s < self._silence_s:
-            return (
-                False  # a KRC that was heard a moment ago has not begun anew: some of its telegrams were lost
-            )
+            return False  # a KRC that was not silent has not restarted: some of its telegrams were lost
         return run is not None and run.count >= CONFIRMATIONS and time_s - run.first_s >= self._least_s
 
 

@@ -1,4 +1,4 @@
-"""A Robot Server's process: its core and what it is connected to, for a robot on RSI and for one without a KRC."""
+"""A Robot Server's process: its core and its connections, for a robot on RSI and for one without a KRC."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from deltaq_services.robot_server.rsi_driver import RsiDriver, crash_plan, senso
 
 
 class Loop:
-    """Takes one robot from cycle to cycle until the process may end.
+    """Runs one robot cycle by cycle until the process may end.
 
-    One thread, and one cycle of it: wait for the robot; take what has come from the gate, decide, and send; publish.
-    An error that nobody foresaw in any of them holds the robot: what cannot be read is nothing, what cannot be made was
-    not sent. Only a core that cannot even brake ends the process.
+    One thread; its cycle: wait for the robot; take the gate's messages, decide, and send; publish. An unexpected
+    error in any step holds the robot: an unreadable message is ignored, a failed reply is not sent. Only a core that
+    cannot even brake ends the process.
 
     Args:
         server: the core.
@@ -49,7 +49,7 @@ class Loop:
             self._driver.mend(time.monotonic())
 
     def cycle(self, now_s: float) -> None:
-        """Decide on what the robot reports, if it does, or notice that it is lost."""
+        """Decide on the robot's report, or notice that the robot is lost."""
         try:
             measured = self._driver.read(now_s)
         except Exception as error:
@@ -88,7 +88,7 @@ class Loop:
         try:
             for message in self._link.heard():
                 server.take(message, now_s)
-        except Exception as error:  # what has come is as if it were lost
+        except Exception as error:  # the message counts as lost
             server.failed(error)
         server.guarded = driver.is_guarded
         (setpoint,) = server.take(measured, now_s)

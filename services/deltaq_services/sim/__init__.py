@@ -1,1 +1,1 @@
-"""The System Integrity Module: the gate that admits only what can still be braked."""
+"""The System Integrity Module: the gate, which admits an increment only with a certified brake."""

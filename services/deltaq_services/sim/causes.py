@@ -1,8 +1,8 @@
-"""What a Robot Server can be doing by this gate's doing: a state that says anything else is not believed.
+"""Checks whether this gate can have caused a Robot Server's state; other states are rejected.
 
 A setpoint moves by admissions of this gate and by the brake that came with each; a hold ends by a reset that this gate
 ordered; cycles are counted one by one, and a robot whose gate is silent is held. A state that contradicts this comes
-of a fault, of two gates, or from somebody who speaks in the Robot Server's stead. Which of them, nobody can know here.
+from a fault, from two gates, or from a forger. The gate cannot tell which.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ def impossible(
     resets: int,
     longest_gap: int,
 ) -> str | None:
-    """What a state says that this gate cannot have caused, for people; None if it can have.
+    """Why this gate cannot have caused a state, for people; None if it can.
 
     Args:
         state: of a robot, as it has just come.
-        before: the newest that was believed; None before the first, and what follows is judged by the first.
-        in_flight: the admissions that it could still take then, each following the one before it.
+        before: the newest accepted state; None before the first.
+        in_flight: the admissions that it could still take then, as a chain.
         epoch: of this gate.
         resets: the count of resets that this gate has ordered the robot to reach.
-        longest_gap: cycles that may pass unheard; a robot that may move is held long before.
+        longest_gap: greatest number of cycles without a state; a robot that may move is held long before.
     """
     if before is None or state.process != before.process:
-        return None  # a process that begins is held until a reset, whatever it says
+        return None  # a process that starts is held until a reset, whatever its state says
     leap = state.cycle - before.cycle
     if leap < -longest_gap:
         return f"cycle {state.cycle} after cycle {before.cycle}"
@@ -56,7 +56,7 @@ def impossible(
         if (said := _not_admitted(state, before, in_flight)) is not None:
             return said
     elif state.sequence != before.sequence:
-        return None  # it follows an earlier gate, whose last admissions nobody knows here
+        return None  # it follows an earlier gate, whose last admissions are unknown here
     if state.resets != before.resets or before.phase is Phase.OFFLINE:
         return None  # it has begun where its KRC said
     joint = _off_course(state, before, in_flight)
@@ -81,7 +81,7 @@ def _off_course(state: ServerState, before: ServerState, in_flight: Sequence[Adm
 
 
 def _not_admitted(state: ServerState, before: ServerState, in_flight: Sequence[Admission]) -> str | None:
-    """Why the plan that a state of this epoch tells is none that this gate has admitted."""
+    """Why this gate has not admitted the plan in a state of this epoch; None if it has."""
     told = (state.plan.dq, state.plan.brake_cycles)
     rests = not any(state.plan.dq) and not any(state.dq)
     taken = next((one for one in in_flight if one.sequence == state.sequence), None)

@@ -50,8 +50,8 @@ class Certificate:
 
     Attributes:
         holds: whether it is.
-        binding: the pair with the least room; None if there are no pairs, or nobody asked for it.
-        failing: where it failed; None if it holds.
+        binding: the pair with the least room; None without pairs, or if it was not requested.
+        failing: the pairs at which it failed; None if it holds.
     """
 
     holds: bool
@@ -161,10 +161,10 @@ class Certifier:
 
 
 HALVINGS = 5
-"""How finely a scale is searched: 1/32 of what is refused."""
+"""Resolution of the search: 1/32 of the refused scale."""
 
 ROUNDS = 3
-"""Searches that end with a certificate; a fourth would hardly find what these did not."""
+"""Searches that end with a certificate; a fourth would hardly find more."""
 
 Holds = Callable[[float, Sequence[Suspects]], bool]
 """Whether suspects keep apart at a scale."""
@@ -173,12 +173,12 @@ Holds = Callable[[float, Sequence[Suspects]], bool]
 def largest(
     certify: Callable[[float], Certificate], holds: Holds, refused: float, first: Certificate
 ) -> float:
-    """Largest scale found that is certified, from 1/32 of a refused one up to it; 0 if none is found.
+    """Largest certified scale that the search finds between 1/32 of a refused one and that one; 0 if none.
 
     Most of a certificate is spent on pairs of bodies that have room enough. So the search halves the scale for suspects
     alone, those pairs at which a certificate failed, and has a scale certified for all pairs only at its end. If that
-    fails at another pair, this is a suspect from then on. Whatever is suspected, what is found was certified in full.
-    `deltaq_cell.kernel.decision` does the same in machine code; tests hold the one against the other.
+    fails at another pair, this is a suspect from then on. In any case the result was certified for all pairs.
+    `deltaq_cell.kernel.decision` does the same in machine code; tests compare the two.
 
     Args:
         certify: certificate of a scale, for all pairs.

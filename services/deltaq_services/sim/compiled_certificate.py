@@ -84,8 +84,9 @@ SHARE_BUDGET = 400
 request that is refused for want of a search may lose all of it."""
 
 TRIAL_BUDGET = 40
-"""Of this, what one trial of suspects may spend on one other tube: one that does not hold would spend all that is left,
-and leave nothing for smaller shares."""
+"""The part of it that one trial of suspects may spend on one other tube: a failing trial would otherwise spend all,
+and leave nothing for smaller shares.
+"""
 
 
 class CompiledCertifier(Certifier):
@@ -124,7 +125,7 @@ class CompiledCertifier(Certifier):
     def largest(
         self, blend: Blend, others: Sequence[tuple[str, Windows]], refused: float, first: Certificate
     ) -> float:
-        """The largest share found that is certified, as `deltaq_services.sim.certificate` finds it, in one call.
+        """The largest certified share that the search of `deltaq_services.sim.certificate` finds, in one call.
 
         Args:
             blend: the courses.

@@ -63,8 +63,8 @@ class Sim:
         contacts: the contacts that are allowed now.
         violations: the pairs that are too near now, and the distances that they have to keep.
         taken: messages taken so far.
-        disbelieved: the last that a robot told and this gate cannot have caused, for people; empty if none has.
-        containment: of errors that nobody foresaw.
+        disbelieved: the last rejected state of a robot, in words; empty if there was none.
+        containment: of unexpected errors.
     """
 
     def __init__(self, cell: CellModel, epoch: int) -> None:
@@ -101,8 +101,7 @@ class Sim:
     def take(self, message: Message) -> list[ToTopic]:
         """Take a state, a request or a command; their order determines every decision.
 
-        A message that an error nobody foresaw comes of is refused, as if it had been lost on its way, and the robot
-        that it concerns is held.
+        A message that causes an unexpected error counts as lost, and the robot that it concerns is held.
 
         Raises:
             TypeError: for a message of a type that is not sent here.
@@ -131,7 +130,7 @@ class Sim:
         refused = [message] if isinstance(message, Request) and message.dq is not None else []
         for robot in self.concerned(message):
             robot.orders.stop(ReasonCode.INTERNAL_ERROR)
-            waiting = robot.inbox.forget()  # it may be what failed, and would again
+            waiting = robot.inbox.forget()  # it may have caused the error, and would again
             refused += [] if waiting is None else [waiting]
             if isinstance(message, ServerState) and robot.tracker.state is not None:
                 outputs.append(self._order(robot, message.cycle))
@@ -254,7 +253,10 @@ class Sim:
         return reply(command.id)
 
     def _dry_run(self, command: Command) -> ToTopic:
-        """Judge an increment as it would be now; at most one for each state, so that nobody keeps the gate busy."""
+        """Decide on an increment without admitting it.
+
+        At most one for each state, so that no client keeps the gate busy.
+        """
         robot = self.robots.get(command.robot or "")
         state = None if robot is None else robot.tracker.state
         if robot is None or state is None:
@@ -349,7 +351,7 @@ class Sim:
         return True
 
     def _supervise(self, robot: GatedRobot, stop: ReasonCode | None = None) -> list[ToTopic]:
-        """Orders to a robot that was heard; `stop` is given whatever its newest state shows."""
+        """Orders to a robot with a state; `stop` is sent whatever its newest state shows."""
         robot.orders.judge()
         if stop is not None:
             robot.orders.stop(stop)
@@ -407,7 +409,7 @@ class Sim:
         return self.gate.decide(robot.tracker, others, np.array(dq))
 
     def _unready(self, state: ServerState) -> Reason | None:
-        """Why nothing can be decided on a state, whatever the request."""
+        """Why no request can be decided on a state; None if one can."""
         unheard = [name for name, other in self.robots.items() if other.tracker.state is None]
         unknown = [name for name, other in self.robots.items() if not other.tracker.is_known]
         if unknown:  # its position or its last motion is unknown, so nothing can be kept clear of it
@@ -420,7 +422,7 @@ class Sim:
         return None
 
     def _other_cell(self, robot: GatedRobot) -> tuple[ReasonCode, str] | None:
-        """What to say of a robot whose Robot Server has read another cell; None if it has not, as far as was heard."""
+        """The message about a Robot Server that has read another cell; None if it has not, or is silent."""
         state = robot.tracker.state
         if state is None or state.cell == self._cell:
             return None
@@ -474,5 +476,5 @@ class Sim:
 
 
 def _out_of_date(request: Request, state: ServerState) -> Reason:
-    """Why a request that waited is not decided any more."""
+    """Why a request that waited is out of date; None if it is not."""
     return Reason(code=ReasonCode.STALE_CYCLE, what="cycle", value=request.cycle, bound=state.cycle - 1)

@@ -222,13 +222,13 @@ class Gate:
         else:
             left = scale
             scale, violated = self._retreat.find(robot, near, limits, brake, request, left)
-            # what the limits left is all that retreat may take, so that they bound it if it takes all
+            # a retreat gets at most the share that the limits left, so they bound a full one
             bound = reasons if scale == left else []
             reasons = [*bound, *violated] or [_clearance_reason(certificate)]
         return _decision(limits, brake, request, scale, reasons, certificate.binding)
 
     def _in_reach(self, robot: Tracker, other: Tracker) -> bool:
-        """Whether any of their bodies can come as near as the stop distance, whatever their joints do."""
+        """Whether any of their bodies can come as near as the stop distance, in any configuration."""
         if frozenset((robot.name, other.name)) not in self._apart_at_zero:
             return True
         reaches = self._proximity.reach[robot.name], self._proximity.reach[other.name]

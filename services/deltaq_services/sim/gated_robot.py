@@ -53,7 +53,7 @@ class CommandOrder:
         return None
 
     def passed(self, command: Command) -> None:
-        """A command was taken, or is out of date: nothing that was sent before it counts any more."""
+        """Note that a command was taken or is out of date: earlier commands no longer count."""
         if command.id < MOST_COUNTED_ON:
             self.newest_id = max(self.newest_id, command.id)
 
@@ -78,11 +78,11 @@ class GatedRobot:
     Attributes:
         name: of the robot.
         joints: how many it has.
-        max_age_cycles: a command that goes by an older state is stale.
+        max_age_cycles: a command that refers to an older state is stale.
         tracker: its motion.
         orders: stop, reset and outputs.
         inbox: the requests for it.
-        longest_gap_cycles: cycles that may be missed while it may move; a Robot Server that hears no gate holds it
+        longest_gap_cycles: cycles that may be missed while it may move; a Robot Server without a gate holds it
             before.
         dry_run_cycle: cycle of the state for which a dry run was answered last.
     """

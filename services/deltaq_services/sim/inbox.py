@@ -1,9 +1,9 @@
-"""The requests of one robot: which is the newest, which is in hand, which are invalid, and what has been decided.
+"""The requests of one robot: the newest, the one carried over, the invalid ones, and those already decided.
 
-At most one request is *in hand* from one cycle to the next: one that came when its cycle had been decided already, or
+At most one request is *carried over* to the next cycle: one that came when its cycle had been decided already, or
 one whose admission the Robot Server did not take in time. It is decided on the next state, as soon as the HLI has
-spoken in that cycle: only then is it known that nothing newer has come and that its lease stands. Then it is out of
-date.
+sent a message in that cycle: only then is it known that there is no newer request and that its lease is valid. After
+that it is out of date.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _AHEAD_CYCLES = 2
 """A request may overtake the state that it answers by this much."""
 
 _IN_HAND_CYCLES = 1
-"""A request in hand may answer a state older than the newest by this much."""
+"""A request that was carried over may answer a state older than the newest by this many cycles."""
 
 
 class Inbox:
@@ -103,7 +103,7 @@ class Inbox:
             The request that has waited for too long, and waits no longer.
         """
         oldest = cycle - _IN_HAND_CYCLES
-        if missed:  # nothing that was decided for a later cycle will be sent, and what comes needs more time
+        if missed:  # no decision for a later cycle will be sent, and new requests need more time
             self.decided_cycle = cycle + self._lookahead_cycles - 2
         decided, self.decided = self.decided, None
         if self.waiting is not None:
@@ -113,7 +113,7 @@ class Inbox:
         return None
 
     def forget(self) -> Request | None:
-        """Keep nothing in hand; returns the request that waited."""
+        """Drop the request that was carried over, and return it."""
         self.decided = None
         return self.take()
 
@@ -163,5 +163,5 @@ class Inbox:
 
 
 def _sent_in(request: Request) -> int:
-    """The cycle in which the HLI sent a request, as far as it is told."""
+    """The cycle in which the HLI sent a request, if the request says so."""
     return max(request.cycle, request.newest or 0)

@@ -42,7 +42,7 @@ def share_within(start: Array, end: Array, low: Array, high: Array) -> float:
 
 
 def _rate(change: float, over: float) -> float:
-    """`|change| / over`, at most what a message can tell."""
+    """`|change| / over`, clipped to the greatest number of a message."""
     return float(min(abs(change), MOST * over) / over)
 
 
@@ -141,7 +141,7 @@ class Limits:
         Returns:
             s, and the reason if s < `at_most`.
         """
-        # nearly every request fits, so what is asked for is looked at by itself
+        # nearly every request fits, so the whole request is tried first
         ends, beyond = self._brake_ends(brake, request, q_cmd, np.array([at_most]))
         if (beyond <= _ROUNDING).all():
             return at_most, []

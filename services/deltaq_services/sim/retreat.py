@@ -54,16 +54,16 @@ class Violations:
         return self._kept.get(pair)
 
     def stands(self, pair: BodyPair, distance_m: float, stop_distance_m: float) -> None:
-        """A pair nearer than its stop distance was measured while its robots stood still.
+        """Note a pair that was measured nearer than its stop distance while its robots were at rest.
 
         Args:
             pair: names of the bodies.
             distance_m: at the setpoints.
-            stop_distance_m: what the pair keeps otherwise.
+            stop_distance_m: the distance that the pair must keep otherwise.
         """
         keeps = min(distance_m - ALLOWANCE_M, stop_distance_m)
         before = self._kept.get(pair)
-        # no admission can have brought it nearer than it had to keep: somebody else did
+        # no admission can have brought it nearer than it had to keep: another cause did
         if before is None or distance_m < before - _MEASURED_M:
             self._kept[pair] = keeps
 
@@ -143,8 +143,8 @@ class Retreat:
             at_most: the largest scale that other limits leave.
 
         Returns:
-            The scale, 0 if the request is not certified to keep what each pair has to keep, and a reason for
-            every violation.
+            The scale, 0 if the request is not certified to keep each pair's distance, and a reason for every
+            violation.
         """
         violated, reasons = self._violated(robot, others)
         scale = min(at_most, limits.slow_scale(brake, request, self._speed))
@@ -163,7 +163,7 @@ class Retreat:
             if robot.stands_still() and (item.other is None or item.other.stands_still()):
                 self._violations.stands(item.pair, distance, item.group.stop_distance_m)
             if self._violations.kept_m(item.pair) is None:
-                continue  # certified as always, and so not at all until the robots stand still
+                continue  # certified as always, so not before the robots are at rest
             violated.append(item)
             bound = item.group.stop_distance_m
             reasons.append(
@@ -209,7 +209,7 @@ class Retreat:
         return as_always.holds and self._keep(robot, branch, violated)
 
     def _keep(self, robot: Tracker, branch: Branch, violated: Sequence[_Near]) -> bool:
-        """Whether each violated pair keeps what it has to.
+        """Whether each violated pair keeps its required distance.
 
         That distance was measured at setpoints, so measured joints do not count here either: drives that
         stand a little off their setpoints would be a separate violation, for ever.

@@ -38,8 +38,8 @@ class GateLog:
     """The gate's own log of its inputs and outputs, in its order, for a recorder.
 
     A second listener hears the same messages, but not in the order in which the gate took them, and
-    that order decides. No entry is written while nobody listens; a listener that is too slow loses entries,
-    which their numbers show, and never delays the gate.
+    that order decides. Without a listener no entry is written; a listener that is too slow loses entries, as their
+    numbers show, and never delays the gate.
     """
 
     def __init__(self, session: Any, cell: str, sim: Sim) -> None:
@@ -49,9 +49,9 @@ class GateLog:
         self._memories = _publisher(session, topics.GATE_MEMORY, cell)
 
     def look_for_listeners(self) -> None:
-        """See whether anybody listens; to be called between messages, and now and then, since it takes its time.
+        """Check for listeners; to be called between messages, and not often, since it is slow.
 
-        Who has come gets a snapshot, and every message after it.
+        A new listener gets a snapshot, and every message after it.
         """
         began = not self._listened_to
         self._listened_to = self._entries.matching_status.matching
@@ -150,7 +150,7 @@ class Shell:
         description = cell.description
         self._name = description.cell
         self._identity = cell.identity
-        guarded_links(description)  # a wrong endpoint is told before the gate is made, which takes its time
+        guarded_links(description)  # a wrong endpoint is reported before the gate is made, which is slow
         self.sim = Sim(cell, epoch=secrets.randbits(62))
         stamps = stamps_if_asked("sim", list(description.robots))
         self._stamps = None if stamps is None else GateStamps(stamps, self.sim)
@@ -184,7 +184,7 @@ class Shell:
                 try:
                     self._handle(str(sample.key_expr), sample.payload.to_bytes())
                     self._say_healthy()
-                except Exception as error:  # none may end the gate; what was not sent counts as lost
+                except Exception as error:  # no error may end the gate; an unsent message counts as lost
                     self.sim.containment.note(error)
                     self.sim.hold_all()
                     self._log.begin_anew()

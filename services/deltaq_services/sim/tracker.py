@@ -1,7 +1,7 @@
 """The gate's knowledge of one robot: its newest state, the setpoints before it, and its possible courses.
 
-Until a state shows which admission the Robot Server follows, the old brake and each admission in flight are
-courses that the robot may take (`courses` in `deltaq_services.sim.tube`). What is decided next goes on from their end.
+Until a state shows which admission the Robot Server follows, the robot may take the old brake or any admission in
+flight (`courses` in `deltaq_services.sim.tube`). The next decision continues from the end of the last one.
 """
 
 from __future__ import annotations
@@ -164,11 +164,11 @@ class Tracker:
         return True
 
     def _possible(self) -> list[Array]:
-        """Every setpoint, each (n,), that can follow the present one by what is known [rad or m]."""
+        """Every setpoint, each (n,), that may follow the present one [rad or m]."""
         return [setpoint for branch in self._courses() for setpoint in branch.setpoints(self.q_cmd)]
 
     def _pass_unheard(self, before: ServerState, state: ServerState) -> None:
-        """Remember what was sent in the cycles between two states, or all that may have been."""
+        """Remember the setpoints of the cycles between two states, or all that are possible."""
         unheard = state.cycle - before.cycle - 1
         if 0 < unheard <= self.drives.lag:
             taken = [one.sequence for one in self.in_flight]
@@ -250,7 +250,7 @@ class Tracker:
         return self.ahead.brake()
 
     def course(self, dq: Array, brake_cycles: int) -> Branch:
-        """The course on which `dq` (n,) and its brake follow all that is in flight."""
+        """The course of `dq` (n,) and its brake after all admissions in flight."""
         return Branch(dq, brake_cycles, -1, tuple(motion.q_cmd for motion in self._motions()[1:]))
 
     def _motions(self) -> list[SetpointMotion]:
@@ -273,11 +273,11 @@ class Tracker:
         return tube(self.history.array(), branch, self.drives, measured)
 
     def before(self) -> Windows:
-        """The tube of what is in flight: what comes before a course that is decided next."""
+        """The tube of all admissions in flight, to which the next course is added."""
         return self.tube(self.course(np.zeros_like(self.q_cmd), 1))
 
     def farthest(self) -> Array:
-        """(n,) how far from zero any joint can be on any course that keeps the position limits (I1) [rad or m].
+        """(n,) greatest distance of each joint from zero within the position limits (I1) [rad or m].
 
         A joint that stands outside its limits goes no further out.
         """
@@ -319,7 +319,7 @@ class Tracker:
         return not self.in_flight and self.at_rest()
 
     def off_path(self) -> tuple[int, float, float] | None:
-        """The joint that left what is certified of the commanded path: index, distance, what is allowed [rad or m]."""
+        """The joint that left the certified band around the commanded path: index, distance, bound [rad or m]."""
         if self._off is None:
             assert self.state is not None  # asked only of robots that have been heard
             history = self.history.array()

@@ -3,13 +3,13 @@
 The drives lag. A robot that was sent the setpoints c_1, c_2, ... is, at the time of c_t, in the hull of the last few
 of them or little beside it. Stable drives that lag alike and do not overshoot are at a weighted mean of past setpoints.
 `DriveBounds` bounds how far real ones are from there. The tube is therefore a sequence of overlapping windows. Each is
-the hull of `lag` + 1 consecutive setpoints and what lies beside it, held by a span of a few of them. The tube makes no
-statement of when the robot is where, so tubes of two robots can be compared as sets.
+the hull of `lag` + 1 consecutive setpoints and what lies beside it, held by a span of a few of them. The tube does
+not say at which time the robot is where, so tubes of two robots are compared as sets.
 
 With a lookahead several admissions are under way at a time, each due in a cycle of its own and each following the one
-before it. Any of them may be lost or come too late. A Robot Server then takes none of those behind it, since they
-follow what did not happen, and brakes from where the chain broke. So there is one course for each admission in
-flight, up to it and then along its brake, beside that of the brake which is under way now.
+before it. Any of them may be lost or come too late. A Robot Server then takes none of those after it, since they
+continue a motion that did not happen, and brakes from where the chain broke. So there is one course for each
+admission in flight, up to it and then along its brake, beside the course of the present brake.
 """
 
 from __future__ import annotations
@@ -94,13 +94,13 @@ class Piece(Protocol):
 
 @dataclass(frozen=True)
 class Span:
-    """The hull of a few vertices of joint space, and what lies beside it by no more than it is wide.
+    """The hull of a few vertices of joint space, widened by `deviation`.
 
     Attributes:
         middle: (n,) of a box around it [rad or m].
         half: (n,) half-widths of that box.
         offsets: (vertices, n) of the vertices from the middle.
-        deviation: (n,) how far it is wide.
+        deviation: (n,) half-width beside the hull.
         is_straight: whether it is one line, along which all joints lag alike.
     """
 
@@ -112,7 +112,7 @@ class Span:
 
     @classmethod
     def around(cls, points: Array, tolerance: Array, spread: float) -> Span:
-        """A span that holds every place that drives can be at in a part of a course.
+        """A span that holds every configuration of the drives in a part of a course.
 
         Args:
             points: (k, n) setpoints of that part [rad or m].
@@ -131,7 +131,7 @@ class Span:
         return self
 
     def halves(self) -> tuple[Piece, ...]:
-        """Two spans, in which the middle between the farthest two vertices takes the place of the one or the other.
+        """Two spans that together cover this one: the midpoint of the farthest two vertices replaces either of them.
 
         A mean of the vertices to which one of the two contributes more than the other is also one of that half's
         vertices. There are none if those two are so near that no drive resolves them, or that the span is as wide.
@@ -189,9 +189,9 @@ def tube(history: Array, branch: Branch, drives: DriveBounds, measured: Array | 
     Args:
         history: (m, n) the last setpoints, oldest first, ending with the present one [rad or m]. Where there are more
             than the drives' lag says, the drives may still be at any of them.
-        branch: what is sent from here on.
-        drives: how the robot follows.
-        measured: (n,) where the robot is, if that is not within what the history explains.
+        branch: the setpoints from here on.
+        drives: bounds of how the robot follows.
+        measured: (n,) measured configuration, if the history does not explain it.
     """
     past = history if measured is None else np.concatenate((measured[None], history))
     if len(past) - 1 > drives.lag:
@@ -204,10 +204,10 @@ def tube(history: Array, branch: Branch, drives: DriveBounds, measured: Array | 
 
 
 def motions(now: SetpointMotion, cycle: int, chain: Sequence[Admission], cycles: int) -> list[SetpointMotion]:
-    """What a robot is sent in the next cycles if it takes all of a chain.
+    """The motion of a robot in the next cycles if it takes all admissions of a chain.
 
     Args:
-        now: what it was sent in `cycle`.
+        now: its motion in `cycle`.
         cycle: of its newest state.
         chain: admissions in flight, each following the one before it.
         cycles: how many.

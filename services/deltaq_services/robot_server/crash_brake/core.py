@@ -184,7 +184,10 @@ class CrashBrake:
         return self._time_s + self._plan.silence_s
 
     def time_passed(self, now_s: float) -> None:
-        """A KRC that was silent for so long has held its last correction: what is left of a brake would move it."""
+        """End the brake if the KRC was silent for too long.
+
+        It has held its last correction, and the rest of the brake would move it.
+        """
         self.over = self.over or not now_s < self.silent_s
 
     def answer(self, waiting: Sequence[tuple[bytes, PeerAddress]], now_s: float) -> bytes | None:

@@ -26,7 +26,7 @@ from deltaq_services.robot_server.crash_brake.record import CrashRecords, PeerAd
 _MOST_WAITING = 1024
 """Datagrams drained before one is answered."""
 _LOCK_ALL = 1 | 2
-"""Of `mlockall`: what is in memory, and what will be."""
+"""Flags of `mlockall`: present and future pages."""
 
 
 def main() -> int:
@@ -46,7 +46,7 @@ def main() -> int:
         replies = 0 if memory.released else _brake(plan, memory, sock, telegrams)
         memory.close()
     if replies:
-        with contextlib.suppress(OSError):  # whoever reads it may have ended, too
+        with contextlib.suppress(OSError):  # its reader may have ended, too
             print(_said(f"the Robot Server has died: its robot was braked, in {replies} replies"), flush=True)
     return 0
 
@@ -61,7 +61,7 @@ def _said(message: str) -> str:
 
 
 def _brake(plan: CrashPlan, memory: CrashMemory, sock: socket.socket, telegrams: PlainTelegrams) -> int:
-    """Answer the KRC until nobody needs an answer; how many replies that were."""
+    """Answer the KRC until no answer is needed; returns the number of replies."""
     found = memory.newest()
     if found is None:
         return 0
@@ -86,7 +86,7 @@ def _waiting(sock: socket.socket, most_bytes: int) -> list[tuple[bytes, PeerAddr
             waiting.append(sock.recvfrom(most_bytes + 1, socket.MSG_DONTWAIT))
         except BlockingIOError:
             break
-        except OSError:  # an earlier reply found nobody there
+        except OSError:  # an earlier reply was not received
             continue
     return waiting
 

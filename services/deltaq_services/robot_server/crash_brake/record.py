@@ -1,7 +1,7 @@
-"""The record that a Robot Server leaves in shared memory before each reply: what follows it should the process die.
+"""The record that a Robot Server writes to shared memory before each reply: the motion to send if the process dies.
 
-There are two places, written in turn. A kill may tear the one that is being written; its checksum tells, and the one
-before it counts. Behind them stands the number of the record whose reply was handed to the network.
+There are two places, written in turn. If a kill tears the record being written, its checksum is wrong, and the one
+before it is used. Behind them stands the number of the record whose reply was handed to the network.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class CrashRecord:
 
     @property
     def rests(self) -> bool:
-        """Whether nothing moves any more."""
+        """Whether the robot is at rest."""
         return self.step >= self.brake_cycles
 
 
@@ -94,7 +94,7 @@ class CrashRecords:
         self.total = self.sent_at + SENT.size
 
     def body(self, record: CrashRecord) -> bytes:
-        """All of a record but what names, times and seals it."""
+        """A record without its header and checksum."""
         cycle = _CYCLE.pack(
             record.ipoc,
             record.ipoc_step,
@@ -120,9 +120,9 @@ class CrashRecords:
         return (number & 1) * self.size, _SUM.pack(zlib.crc32(begins)) + begins
 
     def newest(self, memory: bytes) -> LastReply | None:
-        """The newest whole record; None if there is none that can be trusted.
+        """The newest complete record; None if there is no valid one.
 
-        A record whose follower was sent already says nothing of where the KRC is.
+        A record is of no use if a later reply was sent already: the KRC's position is then unknown.
         """
         (sent,) = SENT.unpack_from(memory, self.sent_at)
         whole = [

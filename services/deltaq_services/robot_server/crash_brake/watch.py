@@ -91,13 +91,13 @@ _PROCESS = "deltaq_services.robot_server.crash_brake.process"
 class CrashWatch:
     """One process, and the memory shared with it; a context manager that lets it end.
 
-    Left without an error, the process has nothing to do. With one, however small, it brakes the robot. One that has
+    Left without an error, the process does nothing; left with an error, it brakes the robot. A process that has
     ended or was stopped is replaced; see `ready` and `mend`.
 
     Args:
         plan: of the robot.
         sock: to its KRC.
-        robot: its name, for what the process says.
+        robot: its name, for the log.
     """
 
     def __init__(self, plan: CrashPlan, sock: socket.socket, robot: str = "") -> None:
@@ -169,7 +169,7 @@ class CrashWatch:
             [sys.executable, "-m", _PROCESS, *map(str, descriptors), self._robot],
             stdin=subprocess.PIPE,
             pass_fds=descriptors,
-            start_new_session=True,  # what kills the Robot Server's process group does not reach it
+            start_new_session=True,  # a signal to the Robot Server's process group does not reach it
             text=True,
         )
         assert process.stdin is not None  # a pipe was asked for
