@@ -1,9 +1,10 @@
-"""How a controller's increments go out and verdicts come back, with a lookahead and without.
+"""Sends a controller's increments and takes their verdicts, with a lookahead and without.
 
-In a cell with a lookahead the verdict may take longer than a cycle: each state is answered as it comes, and what is in
-flight is reckoned with (`deltaq_protocol.in_flight`). In one without (`q_ahead` is null) each verdict is awaited before
-the next state is answered: not to wait gained nothing there in a running cell (docs/notes/timing.md). Where
-either takes longer, the lease asks for a playout buffer, and what waits there is in flight too.
+In a cell with a lookahead the verdict may take longer than a cycle: each state is answered at once, and increments
+    in flight are added (`deltaq_protocol.in_flight`). Without a lookahead (`q_ahead` is null) each verdict is
+    awaited before the next state is answered: not waiting gained nothing in a running cell (docs/notes/timing.md).
+    If the round trip takes longer, the lease asks for a jitter buffer, and the increments waiting there are in
+    flight, too.
 """
 
 from __future__ import annotations
@@ -76,7 +77,7 @@ class Answers:
         return self._in_flight.cycles_to_answer(state)
 
     def own(self, state: RobotState) -> RobotView:
-        """The robot with all that is in flight, after `due`: what the next increment is added to."""
+        """The robot after all increments in flight, to which the next increment is added; valid after `due`."""
         if is_awaited(state):
             return own_view(state, self._before)
         return view_ahead(state, self._in_flight.ahead(state))
@@ -107,7 +108,7 @@ class Answers:
 
 
 def view_ahead(state: RobotState, ahead: Ahead) -> RobotView:
-    """The robot that is moved, with all that is in flight: what the next increment is added to."""
+    """The moved robot after all increments in flight, to which the next increment is added."""
     ahead_cycles = ahead.cycle - state.cycle
     return RobotView(ahead.cycle, state.time_s, np.array(state.q), ahead.q_cmd, ahead_cycles, ahead.dq)
 
@@ -128,7 +129,7 @@ def own_view(state: RobotState, verdict: Verdict | None = None) -> RobotView:
 def view_of(cell: Cell, robot: str, own: RobotView, clocks: RobotClocks) -> View:
     """The view of the robot that is moved, and the newest states of all others, stamped on its clock.
 
-    A robot that was not heard, or whose clock is not known yet, is left out: the age of its state is unknown.
+    A robot without a state, or with an unknown clock, is left out: the age of its state is unknown.
     """
     others = {}
     for name in cell.robots:

@@ -1,4 +1,4 @@
-"""Kinematics of many configurations at once: what pinocchio does for one, by numpy for all."""
+"""Kinematics of many configurations at once, vectorised with numpy; pinocchio computes one at a time."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class BatchKinematics:
         parents: index of the joint that carries each joint; -1 is the world.
         axes: (n, 3) unit vector of each joint in its own frame.
         revolute: (n,) True for revolute joints.
-        moves: (n, n) whether joint j moves what joint i carries, `moves[i, j]`.
+        moves: (n, n) `moves[i, j]`: whether joint j moves the bodies on joint i.
     """
 
     def __init__(self, robot: RobotModel) -> None:

@@ -260,7 +260,7 @@ class FollowerProcess:
 
 
 def _seen(camera: CameraInUse, move_to_start: MoveToStart) -> tuple[Sight | None, ViewTarget | None]:
-    """How well a controller sees what it looks at, and what that is, once it looks at it."""
+    """How well a controller sees its target, and the target; None before it looks at it."""
     return (None, None) if move_to_start.began_s is None else (camera.sight, camera.target)
 
 

@@ -1,7 +1,6 @@
-"""What every controller is: a function from what it sees to one increment.
+"""The interface of controllers: one method, from a view of the cell to one increment.
 
-A cell in virtual time and the live shell drive any object with this one method, so a controller of your own
-plugs in without touching either.
+A cell in virtual time and a running cell accept any object with this method.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from deltaq_protocol.messages import RobotState
 
 
 class ControllerError(DeltaqError):
-    """A controller that cannot do what was requested."""
+    """A controller cannot do what was requested."""
 
 
 @dataclass(frozen=True)
@@ -133,11 +132,11 @@ class LastIncrement:
             brake += 1
 
 
-# A controller that sees the other robots late: what an experiment adds to the latency of a loop.
+# Adds latency to a controller's view of other robots, for experiments.
 
 
 class HeldBack:
-    """Holds back what a controller sees of the other robots, stamps and all; of its own robot it sees the newest.
+    """Delays a controller's view of the other robots, with their stamps; its own robot is not delayed.
 
     Args:
         controller: makes the increments.

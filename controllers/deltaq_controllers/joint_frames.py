@@ -1,6 +1,6 @@
-"""Where the joints of a model are, compiled: the same as pinocchio says, in arrays that compiled functions take.
+"""Poses of a model's joints, compiled: pinocchio's results, in arrays for compiled functions.
 
-To read the frames of pinocchio's data one by one costs several times what they take to compute. The gate's kernel
+Reading the frames of pinocchio's data one by one costs several times their computation. The gate's kernel
 places joints likewise, in arrays of its own (`deltaq_cell.kernel.place`). Machine code is kept package by package, so a
 compiled function calls none of another package.
 """
@@ -60,8 +60,8 @@ def placed_joints(tree: JointTree, q: Array) -> tuple[Array, Array]:
     """The joints at `q` (n,) [rad or m].
 
     Returns:
-        (4 n, 3) placements, as `kinematics.placement_views` has them, and (6, n) velocities of what the joints carry at
-        the world's origin, linear over angular.
+        (4 n, 3) placements, as `kinematics.placement_views` has them, and (6, n) unit twists of the joints at the
+        world's origin, linear over angular.
     """
     n = len(q)
     placements, columns = np.empty((4 * n, 3)), np.zeros((6, n))

@@ -31,7 +31,7 @@ class Kinematics:
             are, that the next `update` changes.
         angular: (3, n) angular velocity of the frame's body, per joint rate.
         twists: (6, n) both of them, linear over angular.
-        columns: (6, n) the same for whatever each joint carries.
+        columns: (6, n) unit twist of each joint, for any body that it carries.
         model, data: pinocchio's, joint placements filled in.
         last: index of the outermost joint that moves the frame.
     """
@@ -83,7 +83,7 @@ class Kinematics:
 
 
 def joints_that_move(robot: RobotModel, carriers: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """(m, n) whether joint j moves what each of `carriers` (m,), counted from 1, carries."""
+    """(m, n) whether joint j moves the bodies on each joint of `carriers` (m,), counted from 1."""
     moves = np.zeros((len(carriers), robot.n), dtype=np.bool_)
     for row, carrier in enumerate(carriers.tolist()):
         for joint in robot.model.supports[carrier]:

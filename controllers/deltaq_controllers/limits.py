@@ -1,4 +1,4 @@
-"""Keep an increment within what the gate admits unchanged: speed, acceleration, and room to brake.
+"""Clip an increment so that the gate admits it unchanged: speed, acceleration, and room to brake.
 
 The gate follows an admitted increment by a brake along a straight line in joint space
 (`deltaq_protocol.brake`), so the room to a position limit that an increment needs depends on all joints.

@@ -179,7 +179,7 @@ def _robots(cell: CellDescription, description: Description) -> dict[str, RobotM
 
 
 def where_others_are(cell: Cell, robot: str) -> Callable[[], dict[str, Array]]:
-    """A function that returns the setpoints (n,) of the other robots of a running cell, once they were heard."""
+    """A function that returns the setpoints (n,) of the other robots of a running cell, after their first states."""
 
     def places() -> dict[str, Array]:
         states = {name: cell.state(name) for name in cell.robots if name != robot}
@@ -220,8 +220,8 @@ async def drive(
         controller: makes the increments.
         statistics: counts the verdicts.
         watch: called with each view.
-        seen: says how well the controller sees what it looks at, and what that is, for others to read.
-        wished: called with the view that the robot's states ask for.
+        seen: returns how well the controller sees its target, and the target; published with each increment.
+        wished: called with the view that clients have requested.
         reading: of the robots' clocks; None for one of its own.
 
     Raises:
@@ -250,7 +250,7 @@ async def drive(
 def control_loop() -> Iterator[None]:
     """Prepares the process for a control loop: models live for ever, and a cycle waits for no ordinary program."""
     gc.collect()
-    gc.freeze()  # no collection need visit what is there by now
+    gc.freeze()  # later garbage collections skip all present objects
     with ahead_of_ordinary_programs():
         yield
 

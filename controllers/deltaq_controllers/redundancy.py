@@ -174,4 +174,4 @@ class Emergency:
 
 
 DEGREES = math.pi / 180.0
-"""The `limit_scale` that makes (10) what it is when angles are in degrees [rad]."""
+"""The `limit_scale` with which (10) gives the paper's values, whose angles are in degrees [rad]."""

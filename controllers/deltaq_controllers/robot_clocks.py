@@ -17,13 +17,12 @@ from deltaq_protocol.client import Cell
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_protocol.messages import RobotState, Status
 
-# How another host's clock stands to this one's, and with that how old a state is where it is read.
+# Offsets of other hosts' clocks, to compute the age of their states.
 #
 # As NTP does (RFC 5905, 8 and 10): a request and its answer enclose the moment at which the other clock was
-# read. If both took equally long, that moment is the middle. If not, the estimate is wrong by half of the
-# difference, and never by more than half of the round trip. The quickest round trip is believed: what makes
-# one slow seldom makes both ways equally slow. Clocks drift, so what is known of one gets worse with time,
-# and a slower round trip may know better later.
+# read. With equal delays in both directions that moment is the middle. Otherwise the error is half of the
+# difference, at most half of the round trip. The quickest round trip is used, since delays are seldom symmetric.
+# Clocks drift, so an estimate ages, and a slower round trip may be better later.
 
 MAX_DRIFT = 1e-4
 """By how much two clocks go apart at most [s/s]: crystals are within 50 ppm, of either sign."""
@@ -45,7 +44,7 @@ class PathClock:
     """The clock at the other end of one path.
 
     Attributes:
-        offset_s: what that clock shows less what this one shows [s]; 0 before the first exchange.
+        offset_s: time of that clock minus time of this one [s]; 0 before the first exchange.
     """
 
     def __init__(self) -> None:
@@ -69,8 +68,8 @@ class PathClock:
     def take(self, asked_s: float, stamp_s: float, answered_s: float) -> None:
         """Add an exchange.
 
-        One that cannot be true if what is known is tells of a clock that was set, or of a stamp that was late itself:
-        it is believed when another bears it out.
+        An exchange that contradicts the estimate shows that a clock was set, or that a stamp was late: it is used
+            once another confirms it.
 
         Args:
             asked_s: when the request went out, on this clock [s].
@@ -113,12 +112,12 @@ def robot_clock_s(status: Status, newest: RobotState, cycle_s: float) -> float |
 
     Args:
         status: the answer.
-        newest: a state of the robot that had come when it was asked for.
+        newest: a state of the robot that came before the request.
         cycle_s: cycle of the robot [s].
 
     Returns:
-        The time, earlier by what a state takes from the Robot Server to the HLI; None if the HLI knows no state, or
-        only those of a Robot Server that has begun to count again.
+        The time, too early by a state's delay from the Robot Server to the HLI; None if the HLI knows no state, or
+        only those of a restarted Robot Server.
     """
     robot = status.robots.get(newest.robot)
     if robot is None or robot.state_age_s is None or robot.cycle < newest.cycle:

@@ -60,14 +60,14 @@ def teleoperator_for(
     Args:
         running: connection to the cell.
         robot: name of the robot.
-        stack: ends what the modes have going on.
+        stack: ends background work of the modes.
         mode: to begin with.
         frame: axes in which hands are moved.
         weights: of the criteria of `coupled` and `advisor`; their own if not given.
         jerk_time_s: time in which a joint's acceleration builds up to its limit; 0 sets no limit to the jerk [s].
-        trade_off: names of two criteria on whose front the advisor's options are; None: they are minima.
-        hands_may_leave: whether hands may leave their place on the way to an option of the advisor, and come back;
-            None: where nothing can be advised otherwise, for want of a joint to spare.
+        trade_off: names of two criteria; the advisor's options are on their Pareto front; None: they are minima.
+        hands_may_leave: whether hands may leave their poses on the path to an option of the advisor, and return;
+            None: only for robots that are not redundant.
 
     Raises:
         ControllerError: the robot is unknown, or cannot be driven in that mode.
@@ -129,7 +129,7 @@ class SignalLog:
 
     Attributes:
         outputs, inputs: as last read, by name.
-        switched: what was switched so far, in its order.
+        switched: the outputs switched so far, in order.
     """
 
     outputs: dict[str, bool] = field(default_factory=dict)
@@ -151,12 +151,12 @@ class SignalLog:
 class Signals:
     """Switches outputs one after the other beside the control loop, and reads them again from time to time.
 
-    A context manager for as long as the lease is held; what was asked for until its end is still switched.
+    A context manager, used while the lease is held; outputs requested before its end are still switched.
 
     Args:
         leased: the robot.
-        names: of its outputs and inputs; without any there is nothing to be read.
-        log: what to keep account in.
+        names: of its outputs and inputs; without any nothing is read.
+        log: gets the signals.
     """
 
     def __init__(self, leased: LeasedRobot, names: tuple[str, ...], log: SignalLog) -> None:
@@ -181,7 +181,7 @@ class Signals:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Switch what is still due, unless the drive broke off."""
+        """Switch the outputs that are still due, unless the drive was interrupted."""
         if self._task is None:
             return
         if error is None:
@@ -223,10 +223,10 @@ class Leg:
         mode: the mode.
         grip: whether the hands held an object.
         cycles: its length.
-        limited: cycles in which something limited the operator, by kind and what.
+        limited: cycles in which the operator was limited, by kind and object.
         moved: per hand the displacement from beginning to end [m, rad], and its largest deviation.
-        chosen: options of the advisor that were wanted, in their order, each with whether the robot got there.
-        parted: by how much the hands that held an object were off from one another at most [m, rad].
+        chosen: requested options of the advisor, in order, each with whether the robot arrived.
+        parted: greatest deviation of the hands from their grasp [m, rad].
     """
 
     mode: DrivingMode
@@ -337,11 +337,11 @@ async def teleoperate(
     Args:
         cell: connection to the cell.
         teleoperator: of the robot.
-        operator: where the commands come from.
+        operator: source of the commands.
         statistics: counts the verdicts.
         watch: called once a cycle with the measured configuration (n,).
         enough: set it to end the drive early.
-        signals: takes what is switched, and how outputs and inputs are.
+        signals: switches outputs, and keeps the newest inputs and outputs.
 
     Raises:
         RefusedError: the lease was not granted or lost, or the robot is held.

@@ -154,27 +154,28 @@ def advise(
 ) -> list[Option]:
     """Ranked, distinct options.
 
-    With the hands in place they are the minima of what can be driven to from here, the best of them always among
-    them; or, if asked for, points of the front of two criteria there. Where hands may leave and come back, minima
-    elsewhere are options too, and marked; those without a path give way to those with one. If hands are to go
-    elsewhere, all configurations with the hands there are searched.
+    With the hands in place they are the minima of energy among all reachable configurations, always including the
+    best one; or, with `trade_off`, points on the Pareto front of two criteria. If hands may leave their poses and
+    return, minima on other branches are options, too, and marked; options with a path come before those without. If
+    hands are to move elsewhere, all configurations with the hands there are searched.
 
     Args:
         problem: the task.
-        present: (n,) where the robot is. If its hands are where the task has them, paths keep them there.
+        present: (n,) present configuration. If its hands are at the task's poses, paths keep them there.
         generator: of random numbers.
         options: how many at most.
         method: one of `METHODS`, for the search beyond what can be reached with the hands in place.
         effort: of the search.
-        exact: measures clearance; one with the other robots at home if not given.
-        trade_off: names of two criteria whose front is wanted in place of minima; the hands have to be in place.
+        exact: measures clearance; by default with the other robots at home.
+        trade_off: names of two criteria; options on their Pareto front replace minima; the hands have to be in
+            place.
         go_on: called after every step; once it returns False, the options found so far are returned at once.
 
     Returns:
-        Options, best first; of a front the best by its first criterion first.
+        Options, best first; on a front sorted by the first criterion.
 
     Raises:
-        AdvisorError: no such method, or a front with the hands elsewhere.
+        AdvisorError: unknown method, or a front with the hands elsewhere.
         CriterionError: a front of an unknown criterion.
     """
     exact = exact or ExactClearance(problem.cell, problem.robot.name)

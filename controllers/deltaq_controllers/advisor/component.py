@@ -1,7 +1,8 @@
-"""What a robot can reach with its hands in place: the component of its self-motions that it stands in.
+"""The configurations that a robot can reach with its hands in place: one component of its self-motion manifold.
 
 With the hands fixed, most configurations lie on other branches of an arm, or behind limits and bodies. So the search
-begins where the robot stands and never leaves what can be driven from there: a tree spreads over the free joints, and
+starts at the present configuration and stays within what can be reached from it: a tree spreads over the free
+joints, and
 from its best nodes the energy descends along edges that are checked in the same way. Each configuration has a path.
 """
 

@@ -134,7 +134,7 @@ class Space(Protocol):
     free: NDArray[np.intp]
 
     def walk(self, origin: Array, target: Array, pieces: int) -> Array:
-        """(N, pieces + 1, n) paths from configurations (N, n), straight to (N, m); NaN from where there is none."""
+        """(N, pieces + 1, n) paths from configurations (N, n), straight to (N, m); NaN past the reachable part."""
         ...
 
     def placed(self, free: Array, near: Array) -> Array:

@@ -43,7 +43,7 @@ class Tree:
 
     Args:
         root: (n,) configuration.
-        ground: what its edges may pass.
+        ground: decides which edges are allowed.
 
     Attributes:
         ground: as given.
@@ -89,7 +89,7 @@ class Tree:
         return nodes[::-1]
 
     def holds(self, node: int) -> bool:
-        """Whether all edges from the root to a node are clear; one that is not is cut, with what hangs on it."""
+        """Whether all edges from the root to a node are clear; a blocked edge is cut with its subtree."""
         if self._is_cut[node]:
             return False
         unsure = [n for n in self.branch(node) if not self._is_sure[n]]
@@ -177,16 +177,16 @@ def connected(
     rounds: int,
     go_on: Callable[[], bool],
 ) -> Array | None:
-    """(k, n) corners of a path from a tree's root to a goal; nodes found meanwhile stay in the tree.
+    """(k, n) corners of a path from a tree's root to a goal; nodes found on the way stay in the tree.
 
     Args:
         tree: a tree, which may have grown already.
         goal: (n,) configuration.
-        ground: what paths to the goal may pass.
+        ground: decides which paths to the goal are allowed.
         limits: (m,) lower and upper limits of the free joints.
         generator: of random numbers.
         rounds: how often a tree is grown.
-        go_on: asked every round.
+        go_on: called every round; False ends the search.
 
     Returns:
         None if none was found.
@@ -219,18 +219,19 @@ _MOST = 60
 
 
 def parted(robot: RobotModel, space: Space, exact: ExactClearance, start: Array, enough_m: float) -> Array:
-    """A way along which the tightest pair parts, by the steepest ascent of its room.
+    """A path that increases the distance of the nearest pair, by steepest ascent.
 
     Args:
         robot: its joint limits are kept.
-        space: in which the way lies.
-        exact: measures.
-        start: (n,) where it begins, in the space.
+        space: that the path lies in.
+        exact: measures clearance.
+        start: (n,) its first configuration, in the space.
         enough_m: room at which it ends.
 
     Returns:
         (P, n) configurations, `start` first, neighbours no further apart than `FINE` in the free joints. It ends
-        earlier where no joint parts the bodies any more; with `start` alone if there is room, or no way to any.
+        earlier where no joint increases the distance; it is `start` alone if there is room already, or no direction
+        to any.
     """
     way, room_m = [start], exact.measure(start).room_m
     while room_m < enough_m and len(way) < _MOST:
@@ -308,11 +309,11 @@ class PathPlanner:
 
         Args:
             goal: (n,) in the space.
-            go_on: asked now and then.
+            go_on: called now and then; False ends the search.
 
         Returns:
-            (P, n) configurations, neighbours no further apart than `FINE` in the free joints. Where the robot stands
-            close to a body, they begin with a way away from it.
+            (P, n) configurations, neighbours no further apart than `FINE` in the free joints. Close to a body they
+            begin with a path away from it.
 
         Raises:
             NoPathError: there is none, or none was found.

@@ -22,7 +22,7 @@ from deltaq_protocol.arrays import Array, Indices
 from deltaq_protocol.errors import DeltaqError
 
 WEIGHTS = {"travel": 1.0, "obstacle_clearance": 1.0, "robot_clearance": 1.0, "self_clearance": 1.0}
-"""The two criteria of the paper's own application, joint limits and collisions, these by what may be hit."""
+"""The two criteria of the paper's application: joint limits and collisions, the latter split by kind of body."""
 
 ROBOTS = "robot_clearance"
 """Left out of `WEIGHTS` where there is no other robot."""

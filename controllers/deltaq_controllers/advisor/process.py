@@ -57,7 +57,7 @@ class _Answer:
 
 
 class _GivenUpError(Exception):
-    """Nobody waits for the answer any more."""
+    """The caller no longer waits for the answer."""
 
 
 class AdvisorProcess:
@@ -155,7 +155,7 @@ class AdvisorProcess:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End the process, whatever it is doing."""
+        """End the process, also during a search."""
         self._process.terminate()
         self._process.join()
         self._line.close()

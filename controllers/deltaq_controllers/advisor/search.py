@@ -335,7 +335,7 @@ class Pool:
 
     @property
     def best(self) -> float:
-        """Least energy; infinite if there is none."""
+        """Least energy in the pool; infinite if it is empty."""
         return float(self.energy[0]) if len(self.energy) else float("inf")
 
     def distinct(self, count: int, distance: float = DISTINCT) -> NDArray[np.intp]:
@@ -386,6 +386,6 @@ def search(
 
 
 def check_method(name: str) -> None:
-    """Raise an `AdvisorError` for a method that there is none."""
+    """Raise an `AdvisorError` for an unknown method."""
     if name not in METHODS:
         raise AdvisorError(f"no method {name!r}; there are {', '.join(METHODS)}")

@@ -75,16 +75,15 @@ class AdvisorSession:
         """Look for options that keep the hands at their present poses.
 
         Args:
-            q: (n,) where the robot stands.
-            others: (n,) where each other robot is.
-            go_on: called with every step, and with the options as they become known; returns whether anybody still
-                waits.
-            trade_off: names of two criteria whose front is wanted in place of minima.
-            hands_may_leave: whether the hands may leave their place on the way to an option, and come back.
+            q: (n,) present configuration.
+            others: (n,) configuration of each other robot.
+            go_on: called with every step, and with the options as they become known; False ends the search.
+            trade_off: names of two criteria; options on their Pareto front replace minima.
+            hands_may_leave: whether the hands may leave their poses on the path to an option, and return.
 
         Raises:
             CriterionError: an unknown criterion.
-            AdvisorError: the robot is not redundant, and its hand may not leave its place.
+            AdvisorError: the robot is not redundant, and its hand may not leave its pose.
         """
         self._problem = self._problem.at(self.tracker.hands(q), others, hands_may_leave)
         self._exact.place(others)
@@ -108,11 +107,11 @@ class AdvisorSession:
         """Search for a path to one of the options.
 
         Args:
-            back: (P, n) a path from where the robot stands to where it stood when options were asked for. If there
-                is no other path, that to the option leads back along this one.
+            back: (P, n) a path from the present configuration to that of the last `ask`. Without another path, the
+                path to the option leads back along it.
             rank: of the option, from 1.
-            others: (n,) where each other robot is.
-            go_on: called with the options at the end, and now and then; returns whether anybody still waits.
+            others: (n,) configuration of each other robot.
+            go_on: called with the options at the end, and now and then; False ends the search.
         """
         self._exact.place(others)
         first = self._first[rank - 1]

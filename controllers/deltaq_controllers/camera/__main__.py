@@ -19,7 +19,7 @@ FUNCTIONS, FUNCTIONS_OF_ALL = 140, 220
 
 
 def main() -> int:
-    """Make every named controller once, which compiles what it needs."""
+    """Compile the named controllers by making each once."""
     parser = argparse.ArgumentParser(prog="python -m deltaq_controllers.camera", description=__doc__)
     parser.add_argument(
         "names",
@@ -38,7 +38,7 @@ def main() -> int:
 
 
 def compile_ahead(names: Sequence[str]) -> Sequence[str]:
-    """Make the controllers of these names for the lab cell, all if there is none; returns which they were."""
+    """Compile the controllers of these names, for the lab cell; all if none is named. Returns their names."""
     # heavy packages are imported only if something is left to do
     from deltaq_cell.cell_model import CellModel
     from deltaq_cell.machine_code import compiling_shown

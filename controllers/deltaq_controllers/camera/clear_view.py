@@ -97,7 +97,7 @@ class ClearViewFollower(QpFollower):
 
     def _tasks(self, q: Array, dq_last: Array, focus: Array, velocity: Array, evade: bool) -> Tasks:
         tasks = super()._tasks(q, dq_last, focus, velocity, evade)
-        if evade:  # who gets out of the way needs all the freedom that the view leaves
+        if evade:  # evasion needs all the freedom that the view leaves
             self._side.clear()
             return tasks
         self._lines.place({self._scene.robot_name: q, **self._where_others_are()})
@@ -129,7 +129,7 @@ class ClearViewFollower(QpFollower):
         return math.inf if rest <= 0.0 else (margin - body.distance_m) / rest
 
     def _where_others_are(self) -> dict[str, Array]:
-        """(n,) of each other robot that was heard, when the increment takes effect [rad or m]."""
+        """(n,) of each other robot with a state, at the time when the increment takes effect [rad or m]."""
         heard = {
             name: self._others.named(name)
             for name in self._scene.cell.robots

@@ -29,7 +29,7 @@ from deltaq_protocol.messages.motion import AIM_M
 class CameraController:
     """Looks at the leader's tool, or at a fixed point, from a desired distance.
 
-    Until the leader has been heard the robot is brought to rest.
+    Until the first state of the leader the robot is brought to rest.
 
     Args:
         follower: the follower.
@@ -37,7 +37,7 @@ class CameraController:
         desired_distance_m: desired view distance; may be changed at any time [m].
         focus: (3,) fixed point in the world to look at in place of the leader's tool [m].
         aim_offset_m: (3,) point of the leader's tool to look at, in the tool's frame [m].
-        extrapolates: whether the focus is where the leader will be, and not where it was measured.
+        extrapolates: whether the focus is the leader's predicted position, not the measured one.
 
     Attributes:
         follower, desired_distance_m, focus, aim_offset_m: as given; all but the first may be changed at any time.

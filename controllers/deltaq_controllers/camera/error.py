@@ -163,6 +163,6 @@ def view_jacobians(view: Look, position: Array, focus: Array, twists: Array) -> 
 
 
 def view_angle(rotation: Array, position: Array, focus: Array) -> float:
-    """Angle between view axis and focus [rad]; what Figs. 8 and 9 plot, with `p - x` (errata)."""
+    """Angle between view axis and focus [rad], as plotted in Figs. 8 and 9, with `p - x` (errata)."""
     y1, y2, y3 = (rotation.T @ (focus - position)).tolist()
     return math.atan2(math.hypot(y1, y2), y3)

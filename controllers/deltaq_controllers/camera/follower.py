@@ -30,7 +30,7 @@ def runge_kutta_step(field: VectorField, q: Array, rates: Array, step_s: float) 
     Args:
         field: velocity of each configuration.
         q: (n,) start.
-        rates: (n,) `field(q)`, which the caller has at hand.
+        rates: (n,) `field(q)`, already computed by the caller.
         step_s: length of the step [s].
     """
     k2 = field(q + (0.5 * step_s) * rates)
@@ -183,7 +183,7 @@ class CameraFollower:
         self._warm_up(leader)
 
     def _warm_up(self, leader: RobotModel | None) -> None:
-        """Compile what the law does not compile itself, because the first cycle leaves no time for it."""
+        """Compile further functions now, because the first cycle leaves no time for it."""
         gains, q = self.gains, np.array(self.robot.home)
         integrate(self._law.rates, q, gains.horizon_s, gains.max_step_s, self.limits.max_dq)
         self._obstacles(leader.home if leader is not None else None)
@@ -234,7 +234,7 @@ class CameraFollower:
         return self.limits.admissible(dq, q_cmd, dq_last)
 
     def clearance_at(self, q: Array, q_leader: Array) -> float:
-        """Least clearance of bounding spheres at two configurations [m]; what repulsion (12) goes by."""
+        """Least clearance of bounding spheres at two configurations [m], as used by the repulsion (12)."""
         obstacles, radii = self._obstacles(q_leader)
         return self._law.clearance(q, obstacles, radii)
 

@@ -32,12 +32,12 @@ at it. So a target that is hidden again within `STEADY_S` is returned to only af
 
 
 def targets_of(wish: ViewWish, started: ViewTarget, leader: str) -> tuple[ViewTarget, ...]:
-    """All targets of a wish, the most important one first.
+    """All targets of a requested view, the most important one first.
 
     Args:
-        wish: as the robot's states tell it.
-        started: the target with which the follower was started: what the wish leaves out is taken from it.
-        leader: the robot that is watched where neither says which.
+        wish: the requested view, as in the robot's states.
+        started: the target with which the follower was started; it fills in omitted values.
+        leader: the robot that is watched if neither names one.
     """
     if wish.targets is not None:
         return wish.targets
@@ -50,16 +50,16 @@ def targets_of(wish: ViewWish, started: ViewTarget, leader: str) -> tuple[ViewTa
 
 
 class TargetChoice:
-    """Chooses among targets by what was seen of each: the most important one that counts as visible.
+    """Chooses the most important target that counts as visible.
 
     If none does, the choice stays. The first target counts as visible until it has been hidden for `HIDDEN_S`, each
-    other one once it has been visible for `VISIBLE_S`, or longer where that did not last (`STEADY_S`).
+    other one once it has been visible for `VISIBLE_S`, or longer if it was soon hidden again (`STEADY_S`).
 
     Args:
         count: how many targets there are, the most important one first.
 
     Attributes:
-        chosen: place of the target that is to be looked at.
+        chosen: index of the target to look at.
     """
 
     def __init__(self, count: int) -> None:
@@ -76,7 +76,7 @@ class TargetChoice:
         return not self._counts[self.chosen]
 
     def saw(self, place: int, is_visible: bool, time_s: float) -> None:
-        """A target was looked for, and found visible or not.
+        """Note whether a target was visible.
 
         Args:
             place: of the target.
@@ -104,7 +104,7 @@ LOOK_S = 0.05
 
 
 class CameraInUse:
-    """Camera controllers, one for each robot that can be watched, of which one is in use.
+    """Camera controllers, one for each robot that can be watched; one of them is in use.
 
     Args:
         cameras: the controllers by their leaders.
@@ -195,7 +195,7 @@ class CameraInUse:
         return self._cameras[self.leader]
 
     def _look(self, view: View) -> None:
-        """Look for the next target, if it is time, and turn to another one if that was what the choice needed."""
+        """Check the visibility of the next target, if it is due, and switch targets if the choice changes."""
         time_s = view.own.time_s
         if 0.0 <= time_s - self._looked_s < LOOK_S:
             return

@@ -115,10 +115,10 @@ def with_bounded_zoom(
     gains: FollowerGains,
     share_of_horizon: float,
 ) -> CameraGoal:
-    """The goal with a gain k of (14), and a largest error for it, such that it can always brake.
+    """The goal with a gain k of (14) and a largest error from which it can always brake.
 
-    How far a field along `approach` moves the lens depends on what the camera task and the joint limits
-    leave of it, the mobility. A gain that compensates for it gives the view distance the same rate everywhere.
+    How far a field along `approach` moves the lens depends on the freedom that camera task and joint limits leave,
+    the mobility. A gain that compensates for it gives the view distance the same rate everywhere.
     """
     view = look_on(pose.rotation, pose.position, goal.focus, pose.twists)
     jacobian, approach = view_jacobians(view, pose.position, goal.focus, pose.twists)
@@ -136,8 +136,8 @@ def with_bounded_zoom(
 def _bounded(error: float, deceleration: float, ahead: float, share_of_horizon: float) -> float:
     """Largest rate over virtual time from which the approach of an error can still be braked.
 
-    In one cycle the increment covers what the whole horizon does, so real rates are to rates over
-    virtual time as the horizon is to the cycle. `ahead` is the rate at which the target itself moves.
+    One increment covers the whole horizon, so real rates are rates over virtual time times horizon over cycle.
+    `ahead` is the rate at which the target itself moves.
     """
     return share_of_horizon * (ahead + math.sqrt(2.0 * deceleration * error))
 
@@ -182,7 +182,7 @@ def _moved(jacobian: Array, dq: Array) -> Array:
 
 
 class CameraLaw:
-    """Joint rates over virtual time, for a focus, a desired distance and obstacles that stand still.
+    """Joint rates over virtual time, for a focus, a desired distance and fixed obstacles.
 
     Args:
         robot: the robot that carries the camera.

@@ -47,7 +47,7 @@ class Visibility:
 
 
 class VisibilityGauge:
-    """Computes what a robot's camera sees among the bodies of its cell: structure, other robots and the robot itself.
+    """Computes how much of a target a robot's camera sees, past structure, other robots and the robot itself.
 
     Args:
         cell: the cell.
@@ -93,11 +93,11 @@ class VisibilityGauge:
 
 
 class Outlook:
-    """Lines of sight from a robot's camera to targets, whether or not the camera is turned to them.
+    """Lines of sight from a robot's camera to targets, in any direction of the camera.
 
-    A target is hidden if bodies are on the line of sight of each eye, those of the gripper that is looked at included;
-    see `VisibilityGauge`. What turns with the camera hides nothing: its own housing is between it and what is beside
-    it.
+    A target is hidden if bodies, the watched gripper's included, are on the lines of sight of both eyes; see
+    `VisibilityGauge`. Bodies that turn with the camera hide nothing: its own housing is between it and targets
+    beside it.
 
     Args:
         cell: the cell.
@@ -116,8 +116,8 @@ class Outlook:
         """Names of the bodies that hide a target, from the left eye on; empty if an eye sees it.
 
         Args:
-            view: where the robots are; one that is not in it stays where it was, at first at home.
-            target: what to look for; the robot that it names is in the view.
+            view: states of the robots; a robot without one stays where it was, at first at home.
+            target: the target; `view` has the robot that it names.
         """
         configurations = {name: other.q for name, other in view.others.items()} | {self._robot: view.own.q}
         if target.focus_m is not None:

@@ -59,10 +59,10 @@ class Withdrawal(NamedTuple):
 class QpFollower:
     """Looks at the leader's tool, or at a fixed point, from a desired distance, keeping clear of everything.
 
-    Until the leader has been heard the robot is brought to rest.
+    Until the first state of the leader the robot is brought to rest.
 
     Args:
-        scene: the cell and who is who in it.
+        scene: the cell and the roles of its robots.
         desired_distance_m: desired view distance; may be changed at any time [m].
         focus: (3,) fixed point in the world to look at in place of the leader's tool [m].
         gains: weights and margins.
@@ -72,7 +72,7 @@ class QpFollower:
         aim_offset_m: (3,) point of the leader's tool to look at, in the tool's frame; may be changed too [m].
         limits: limits of the increments.
         evades_below_m: clearance from other robots below which barriers act [m].
-        barrier_m: least distance from other robots, however they stand [m].
+        barrier_m: least distance from other robots at any relative motion [m].
         slack_m: (3,) by how much the last increment fell short of the barriers to other robots, of all other
             barriers, and of what other robots need to brake in [m].
         unsolved: cycles in which the solver gave no answer and the robot braked.
@@ -118,7 +118,7 @@ class QpFollower:
         potential = Potential(gains.evasion, gains.evasion_range_m, gains.evasion_min_m)
         self._repulsion = Repulsion(robot, potential, np.zeros(robot.n), floor_m=0.0)
         self._limit_weights = WeightedGradient(robot.lower, robot.upper, gains.limit_scale, 0.0)
-        # with nobody near the joints' margin gives way to the distance
+        # with no robot near, the joints' margin gives way to the distance
         self._gains_near = TaskGains.of(gains)
         self._gains_alone = self._gains_near._replace(room_weight=gains.posture_weight)
         self._warm_up()
@@ -188,7 +188,7 @@ class QpFollower:
         if self.focus is not None:
             return np.array(self.focus, dtype=np.float64), np.zeros(3)
         leader = self._others.named(self._scene.leader_name)
-        self._leader.update(leader.ahead(-self._cycle_s))  # what the increment starts from
+        self._leader.update(leader.ahead(-self._cycle_s))  # the start of the increment
         focus = self._leader.position + self._leader.rotation @ self.aim_offset_m
         return focus, self._leader.at_point(focus) @ leader.velocity
 
@@ -209,10 +209,10 @@ class QpFollower:
         )
 
     def _retreat(self, q: Array, _dq_last: Array, _focus: Array, evade: bool) -> Withdrawal:
-        """How to get out of the way at `q` (n,) while somebody is near, to which `_dq_last` (n,) has led."""
+        """The evasion at `q` (n,), reached by `_dq_last` (n,), while a robot is near."""
         away = self._evasion(q) if evade else np.zeros_like(q)
         size = math.sqrt(float((away * away).sum()))
-        # a target that stands still moves nothing: what it leaves free does not drift
+        # with a fixed target no joint moves: the free joints do not drift
         room = self._room(q) if evade or self.focus is None else np.zeros_like(q)
         evasion = Evasion((away / max(size, 1e-9))[None], np.array([size]), room)
         return Withdrawal(evasion, self._gains_near if evade else self._gains_alone)

@@ -3,7 +3,7 @@
     minimise    sum_i w_i |A_i dq - b_i|^2 + rest |dq / ddq_max|^2 + price . s
     subject to  slowest <= dq <= fastest,  C dq + S s >= c,  s >= 0
 
-S picks the slack of each barrier's kind, so that what one kind needs does not loosen the others. The programme
+S picks the slack of each barrier's kind, so that slack of one kind does not loosen the others. The programme
 always has a solution: `slowest <= fastest` leaves at least the brake, and s takes up whatever the barriers demand
 beyond it. The solver is DAQP's dual active-set method (Arnström, Bemporad and Axehill, 2022, IEEE TAC 67(8)): exact
 to rounding for programmes of this size, and with no state carried from one cycle to the next, so that the same view
@@ -178,7 +178,7 @@ def view_tasks(
         pose: of the camera.
         q: (n,) configuration [rad or m].
         aim: what to look at.
-        evasion: how to get out of the way.
+        evasion: direction and rate of the evasion.
         gains: weights and shares.
         roll_joint: the joint that levels the picture.
         max_ddq: (n,) largest change of the increment between two cycles [rad or m].
@@ -289,7 +289,7 @@ class QuadraticProgram:
         """The best increment, and the slacks that it needs.
 
         Args:
-            tasks: what it is for.
+            tasks: weighted rows.
             slowest: (n,) least increment [rad or m].
             fastest: (n,) greatest increment [rad or m].
             barriers: what to keep, kinds being indices of `prices`.
@@ -327,7 +327,7 @@ def _cost(tasks: Tasks, scale: Array, rest_weight: float, hessian: Array, linear
 def _constraints(
     scale: Array, count: int, slowest: Array, fastest: Array, barriers: Barriers
 ) -> tuple[Array, Array, Array]:
-    """A row for each barrier, and what the increments, the slacks and then the barriers have to keep.
+    """Rows of the barriers, and bounds of the increments, the slacks and the barriers, in this order.
 
     Returns:
         (k, count) rows, and (count + k,) least and greatest values; `count` is n + m.

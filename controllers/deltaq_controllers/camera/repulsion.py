@@ -88,7 +88,7 @@ class Repulsion:
         self._near: Obstacles | None = None
 
     def approach(self, kinematics: Kinematics, obstacles: Array, radii: Array) -> float:
-        """Find what is near at the configuration of `kinematics`.
+        """Find the near obstacles at the configuration of `kinematics`.
 
         Args:
             kinematics: placed at the start of the increment.
@@ -105,7 +105,7 @@ class Repulsion:
         return least
 
     def field(self, kinematics: Kinematics) -> Array:
-        """F_rep (n,) at the configuration of `kinematics`, of what is near [rad/s or m/s]."""
+        """F_rep (n,) at the configuration of `kinematics`, of the obstacles found last [rad/s or m/s]."""
         if self._near is None:
             return np.zeros(kinematics.columns.shape[1])
         return self.field_of(kinematics, self._near)

@@ -11,7 +11,7 @@ from deltaq_cell.robot import RobotModel
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages.motion import AIM_M
 
-# What a camera looks at: a point of the leader's tool, or a point that stands still.
+# The target of a camera: a point of the leader's tool, or a fixed point.
 
 
 def focus_of(T_world_tool: Array, aim_offset_m: Array) -> Array:
@@ -33,8 +33,8 @@ class Scene:
         cell: the cell; a client builds it from the description that the HLI gives it.
         robot_name: the robot that carries the camera.
         leader_name: the robot that is watched.
-        aim_offset_m: point of the leader's tool that is looked at, in the tool's frame [m]: the work that a gripper
-            does is before its fingers, and the fingers hide what is between them.
+        aim_offset_m: watched point of the leader's tool, in the tool's frame [m]: a gripper works in front of its
+            fingers, and the fingers hide the space between them.
     """
 
     cell: CellModel

@@ -149,7 +149,7 @@ def _unevenness(shares: Array) -> Array:
     return value
 
 
-# Criteria of loads: joint torques and accelerations, how two arms share them, and what a task asks of a hand.
+# Criteria of loads: joint torques and accelerations, their distribution over two arms, and a task's load on a hand.
 
 
 def acceleration(postures: Postures) -> Array:
@@ -159,7 +159,7 @@ def acceleration(postures: Postures) -> Array:
 
 
 def _shares(postures: Postures) -> Array:
-    """(N, n) gravity's torque at each joint, as a fraction of what the drive has at least."""
+    """(N, n) gravity's torque at each joint, as a fraction of the drive's least torque."""
     shares: Array = postures.gravity / postures.data.torques
     return shares
 

@@ -25,9 +25,9 @@ from deltaq_controllers.kinematics import placement_views
 from deltaq_controllers.spheres import local_box
 from deltaq_protocol.arrays import Array, Flags, Indices
 
-# Which pairs of bodies can be near, and so have to be measured with exact shapes.
+# Broad phase: the pairs of bodies that may be near, and so need a measurement with exact shapes.
 #
-# A body is enclosed in a capsule, a box that stands still is a box, and their distance is never more than that of the
+# A body is enclosed in a capsule, a fixed box is a box, and their distance is never more than that of the
 # bodies. Compiled, because a path is a thousand configurations of a thousand pairs.
 
 
@@ -216,7 +216,7 @@ FAR_M = 0.25
 
 
 class PairKind(IntEnum):
-    """With what a robot's body is near."""
+    """The kind of body that a robot's body is near to."""
 
     SELF = 0
     ENVIRONMENT = 1
@@ -243,8 +243,8 @@ class MeasuredPairs:
     """The nearest pairs of each kind at each of N configurations, e in all.
 
     Attributes:
-        row: (e,) of which configuration.
-        kind: (e,) of which kind.
+        row: (e,) index of the configuration.
+        kind: (e,) kind of the pair.
         room: (e,) distance beyond the stop distance [m].
         first: (e,) index of the joint that carries the first body.
         second: (e,) that of the second; -1 for one that stands still.
@@ -301,7 +301,7 @@ class NearBodies:
             int(body.parentJoint) - 1 - self._first if i in set(own) else -1 for i, body in enumerate(bodies)
         ]
         last = {int(model.model.frames[model.frame_of(hand)].parentJoint) - 1 for hand in model.hands}
-        # a hand stays where it is, and what its last joint carries with it
+        # a hand stays in place, and so do all bodies on its last joint
         still = {i for i in range(len(bodies)) if self._joints[i] < 0 or self._joints[i] in last}
         never = {frozenset(pair) for pair in model.never_checked_pairs()}
         pairs: list[tuple[int, int]] = []

@@ -42,8 +42,8 @@ class Criterion:
     Attributes:
         name: of the criterion.
         category: of Table 2.
-        formula: what is computed.
-        source: where it is from.
+        formula: the definition.
+        source: the publication.
         unit: of its value.
         better: whether less or more of it is better.
         value: (N,) values of N configurations.

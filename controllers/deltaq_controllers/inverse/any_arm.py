@@ -118,7 +118,7 @@ class AnyArm:
         return int(determinant_of(placed(self.chain, np.array(q))[2]) > 0.0)
 
     def _compile(self, lower: Array, upper: Array) -> None:
-        """Call what is compiled, so that nobody waits for it who has a robot leased."""
+        """Run the compiled functions once, so that no lease waits for compilation."""
         q = 0.5 * (lower + upper)
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3], _ = placed(self.chain, q)
@@ -146,7 +146,7 @@ class AnyArm:
         return q[:, :most], exists[:, :most]
 
     def _closed_form(self, poses: Array, given: NDArray[np.bool_]) -> tuple[Array, Array]:
-        """(N, K, 6) what EAIK says, NaN where it says less, and (K,) how near that has to be."""
+        """(N, K, 6) EAIK's solutions, NaN where there are fewer, and (K,) their tolerances."""
         starts = np.full((len(poses), BRANCHES, JOINTS), np.nan)
         rows = np.flatnonzero(given)
         found = self._robot.calculate_IK_batched(list(poses[rows]), 1) if len(rows) else []
@@ -162,7 +162,7 @@ class AnyArm:
     def _refined(
         self, poses: Array, starts: Array, tried: NDArray[np.bool_], near: Array
     ) -> tuple[Array, NDArray[np.bool_]]:
-        # one kind of array each: for another one it would be compiled anew
+        # one kind of array each: another one would cause a compilation
         return refined_all(
             self.chain,
             np.array(poses, order="C"),

@@ -175,7 +175,7 @@ def two_links(along: Array, across: Array, first: float, second: float) -> tuple
         second: length of the second [m].
 
     Returns:
-        The first joint's mean over both elbows, half of what the elbows differ by in it, the second joint of the
+        The first joint's mean over both elbows, half of its difference between them, the second joint of the
         positive elbow, all [rad], and whether the point is in reach: the solutions are
         `(mean - half, elbow)` and `(mean + half, -elbow)`.
     """

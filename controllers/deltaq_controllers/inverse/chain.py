@@ -177,7 +177,7 @@ def placed(chain: Chain, q: Array) -> tuple[Array, Array, Array]:
 
 @compiled
 def error(R: Array, p: Array, T: Array) -> Array:
-    """(6,) what leads from a pose to `T` (4, 4): a displacement [m] over a rotation vector [rad], base axes."""
+    """(6,) difference from a pose to `T` (4, 4): displacement [m] over rotation vector [rad], in base axes."""
     off = np.empty(6)
     for k in range(3):
         off[k] = T[k, 3] - p[k]
@@ -266,8 +266,8 @@ def refined_all(
 def followed(chain: Chain, poses: Array, start: Array, given: Flags) -> Array:
     """Configurations along paths of poses, each reached from the one before without passing a singularity.
 
-    Two branches that meet in a fold have Jacobians with determinants of opposite signs, so that the sign tells whether
-    Newton's method has gone over to the other one.
+    Two branches that meet in a fold have Jacobians with determinants of opposite signs, so a change of sign shows
+    that Newton's method has changed the branch.
 
     Args:
         chain: the joints.
@@ -276,7 +276,7 @@ def followed(chain: Chain, poses: Array, start: Array, given: Flags) -> Array:
         given: (N, P) which poses are finite.
 
     Returns:
-        (N, P, 6) configurations; NaN from where there is none on.
+        (N, P, 6) configurations; NaN from the first missing one on.
     """
     count, pieces = poses.shape[0], poses.shape[1]
     way = np.full((count, pieces, JOINTS), np.nan)

@@ -75,7 +75,7 @@ class Arm:
     T_last_hand: Array = field(default_factory=lambda: np.eye(4))
 
     def chain(self, robot: RobotModel) -> Chain:
-        """The arm's joints at zero, with what its inverse has for a tool."""
+        """The arm's joints at zero, with the tool frame of its inverse."""
         return chain_of(robot.model, self.joints, np.eye(4) if self.beyond else self.T_last_hand)
 
     def pose_of_last(self, kinematics: BatchKinematics, q: Array) -> Array:
@@ -203,7 +203,7 @@ class ConstraintTracker:
 
     @property
     def word(self) -> str:
-        """Which arms have no closed form, and what helps; empty if all have one."""
+        """Names the arms without a closed form, and the remedy; empty if all have one."""
         numeric = [arm.hand for arm in self.arms if isinstance(arm.solver, AnyArm) and not arm.solver.family]
         if not numeric:
             return ""

@@ -147,11 +147,11 @@ class ScriptedLeader:
     posture_rate = 0.3
     """Rate at which redundant joints return to where they started [1/s]."""
     orientation_rate = 2.0
-    """Rate at which the tool's orientation returns to what it was at the start [1/s]."""
+    """Rate at which the tool's orientation returns to its start [1/s]."""
     revolute_weight = 2.0
     """Cost of a rad/s at an arm's joint, in m/s of a prismatic one."""
     patience_s = 0.5
-    """How long the tool may stand still against the operator's will before another point is chosen [s]."""
+    """Time for which the tool may be blocked before another point is chosen [s]."""
     damping = 0.02
     """Added to the diagonal of `J W^-1 J^T` (linear rows in m^2, angular rows in rad^2)."""
 

@@ -1,6 +1,6 @@
-"""Compile what driving by hand needs, so that no first lease has to: `python -m deltaq_controllers.modes [CELL]`.
+"""Compile the modes of driving by hand, so that no first lease waits: `python -m deltaq_controllers.modes [CELL]`.
 
-Prints how far it is, and does nothing if all is stored from an earlier run.
+Prints its progress, and does nothing if all is stored from an earlier run.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ FUNCTIONS = 140
 
 
 def main() -> int:
-    """Drive every robot of the cell once in every mode, on its model alone, which compiles what that needs."""
+    """Compile every mode for every robot of the cell, by a cycle on the robot's model."""
     parser = argparse.ArgumentParser(prog="python -m deltaq_controllers.modes", description=__doc__)
     parser.add_argument(
         "cell", nargs="?", default="lab", metavar="CELL", help="name or YAML file of the cell (default: lab)"

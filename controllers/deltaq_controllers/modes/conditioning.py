@@ -1,12 +1,12 @@
-"""How well the joints can do what is asked of them, and how fast they may approach where they cannot.
+"""Conditioning of the tasks along the commanded direction, and the greatest speed towards a singularity.
 
-Judged is the way that is asked for, on the plain Jacobian: how far the tasks get for each rad of the joints
-that do it with the least motion,
+The measure is the mobility along the commanded direction, on the plain Jacobian: the travel of the tasks for each
+    rad of the least joint motion,
 
     mobility = |w| / |J^+ w|
 
-A joint near its limit is no singularity, and a singularity whose lost direction nobody asks for does not matter.
-Where the mobility falls along the way, what is left of it is room to brake in, as before a joint's limit: with the
+A joint near its limit is no singularity, and a singularity whose lost direction is not commanded does not matter.
+Where the mobility falls along the direction, the rest of it is braking distance, as before a joint's limit: with the
 motion of the joints tau, its unit vector u and their greatest common deceleration a along it,
 
     tau' <= sqrt(2 a (mobility - LEAST) / -d mobility / d tau)
@@ -144,8 +144,7 @@ def kept_share(motion: Array, mobility: float, ahead: float, max_acceleration: A
 def ramp_share(bend: Array, change: Array, most: Array, max_jerk: Array) -> float:
     """The largest share of a change that one cycle may make: of joint increments, `|bend + share change| <= most`.
 
-    Where the way bends so much that going on takes more than that, or a brake has to begin, the least share that
-    comes back to it counts.
+    If the path's curvature or a brake needs more than that, the least share that returns to the bound is used.
 
     Args:
         bend: (n,) change of the increments if the tasks went on as they go.
@@ -191,15 +190,15 @@ def ramped(
     max_jerk: Array,
     cycle_s: float,
 ) -> Ramped:
-    """The tasks as near to what is asked for as one cycle may take them (`ramp_share`).
+    """The tasks' rates, as near to the commanded ones as one cycle allows (`ramp_share`).
 
     Args:
         motions: of the joints.
-        before: (n,) motion that was made in the cycle before [rad/s or m/s].
-        asked: (r,) rates that are asked for [m/s].
-        made: (r,) rates that are made [m/s].
-        share: of what is asked for that is allowed.
-        most: (n,) change of the increments that one cycle may make [rad or m].
+        before: (n,) joint motion of the cycle before [rad/s or m/s].
+        asked: (r,) commanded rates [m/s].
+        made: (r,) present rates [m/s].
+        share: allowed part of the commanded rates.
+        most: (n,) largest change of the increments in a cycle [rad or m].
         max_jerk: (n,) of the increments [rad or m].
         cycle_s: the cycle [s].
     """

@@ -84,7 +84,7 @@ class CoupledMode(ResolvedMode):
 
     Args:
         robot: the robot.
-        criteria: what redundant joints do; by default they stay near the middle of their ranges.
+        criteria: for redundant joints; by default they stay near the middle of their ranges.
     """
 
     name = DrivingMode.COUPLED
@@ -210,7 +210,7 @@ class SelfMotionMode(ResolvedMode):
         """The hands stay where they were when the mode began."""
 
     def _intervened(self) -> None:
-        """The hands stay where they were when the mode began, whatever the gate did."""
+        """The hands keep their poses from the start of the mode, also after scaled increments."""
 
     def _allowed(self, instant: Instant, motion: Motion) -> float:
         rates = instant.dq_last / instant.cycle_s

@@ -22,7 +22,7 @@ ARM_JOINTS = 6
 
 
 class Hands:
-    """The hands of one robot.
+    """The hands (end effectors) of one robot.
 
     Args:
         robot: the robot.
@@ -134,7 +134,7 @@ def placed(links: Links, q: Array) -> tuple[Array, Array, Array]:
 
 @compiled
 def displacement(rotations: Array, positions: Array, to_rotations: Array, to_positions: Array) -> Array:
-    """(h, 6) what leads the hands from poses (h, 3, 3), (h, 3) to others: offset [m] over rotation vector [rad]."""
+    """(h, 6) difference of hands' poses from (h, 3, 3), (h, 3): offset [m] over rotation vector [rad]."""
     hands = len(positions)
     found = np.empty((hands, 6))
     for hand in range(hands):
@@ -215,7 +215,7 @@ class HeldObject:
         return np.hstack([velocities, np.tile(twist[3:], (len(arms), 1))])
 
     def together(self, positions: Array, rates: Array) -> Array:
-        """(6 h,) rates of hands at (h, 3), turns as travel, without what would part them: a least square [m/s]."""
+        """(6 h,) rates of hands at (h, 3), turns as travel, projected on common rigid motion [m/s]."""
         columns = [self.hands_twists(positions, unit) for unit in np.eye(6)]
         for column in columns:
             column[:, 3:] *= LENGTH_M

@@ -77,11 +77,11 @@ class Limit(StrEnum):
 
 @dataclass(frozen=True)
 class Limitation:
-    """One thing that limits a mode now.
+    """One limiting factor of a mode.
 
     Attributes:
         limit: its kind.
-        what: the joint, hand or pair of bodies.
+        what: the joint, hand or pair of bodies concerned.
         text: a sentence for the operator.
     """
 
@@ -138,14 +138,14 @@ def of_object(limitation: Limitation) -> Limitation:
 
 
 class Conditioning(NamedTuple):
-    """A way that the joints can hardly do any more.
+    """A commanded direction near a singularity.
 
     Attributes:
         rates: (r,) of the tasks that are asked for, turns as travel, six for each hand first [m/s].
         motion: (n,) direction in which the joints would have to move.
         bend: (r,) change along it of the tasks' displacements per joint displacement [m/rad^2].
-        mobility: of the way [m/rad].
-        lost: part of the way that no joint motion makes.
+        mobility: of the direction [m/rad].
+        lost: part of the direction that no joint motion makes.
     """
 
     rates: Array
@@ -197,7 +197,7 @@ class Instant:
         limits: of the increments.
         max_jerk: (n,) greatest change of an increment's change; infinite for no limit [rad or m].
         cycle_s: the cycle [s].
-        surroundings: what the robot keeps clear of by itself; None leaves that to the gate.
+        surroundings: bodies that the robot keeps clear of by itself; None leaves that to the gate.
         held: the object that the hands keep between them; None for hands that are free.
     """
 
@@ -212,7 +212,7 @@ class Instant:
 
 
 class Advance(NamedTuple):
-    """An increment, and what keeps it from the requested one.
+    """An increment, and its limiting factor.
 
     Attributes:
         dq: (n,) increment [rad or m].

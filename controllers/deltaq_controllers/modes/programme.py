@@ -1,4 +1,4 @@
-"""One quadratic programme per cycle: the joints' increment, the pace of the tasks, and what each task falls short by.
+"""One quadratic programme per cycle: the joints' increment, the pace of the tasks, and each task's shortfall.
 
     minimise    rest |D (dq - drift)|^2  +  |w T|^2 (1 - pace)^2  +  line |e|^2  +  price . s
     subject to  R dq = pace w T + back + e                 the tasks
@@ -7,14 +7,15 @@
                 C dq + s >= c,  s >= 0                      clearance
                 0 <= pace <= most
 
-R are the tasks' rows, w the rates that they are to have, `back` an older error of theirs. The weights lie so far apart
+R are the tasks' rows, w their desired rates, `back` their correction of earlier errors. The weights lie so far apart
 that they act as an order: first the lines of the tasks, then clearance, then room before limits, then the pace along
-the lines, and in the null space of all of these the joints' drift. Where something binds, the pace gives way and the
-lines do not.
+the lines, and in the null space of all of these the joints' drift. Where a constraint is active, the pace is reduced
+and the lines are kept.
 
-Every weight stands by itself on the diagonal of the cost: however far they lie apart, none blurs another. The solver is
-DAQP's dual active-set method (Arnström, Bemporad and Axehill, 2022, IEEE TAC 67(8)), begun anew in each cycle: the same
-view gives the same increment, bit for bit.
+Every weight is alone on the diagonal of the cost, so widely different weights cause no rounding errors. The solver
+is
+DAQP's dual active-set method (Arnström, Bemporad and Axehill, 2022, IEEE TAC 67(8)), started cold in each cycle: the
+same view gives the same increment, bit for bit.
 """
 
 from __future__ import annotations
@@ -31,20 +32,20 @@ from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.surroundings.barriers import Barriers
 from deltaq_protocol.arrays import Array, Indices
 
-# The box that an increment stays in: position, speed and acceleration; and what is wished for within it.
+# Bounds of an increment: position, speed and acceleration; and narrower preferred bounds.
 #
 # The gate follows every increment by a straight brake of all joints together, as many cycles long as the joint needs
 # that takes longest. So a joint that speeds up takes room away from all joints near their limits. The box therefore
-# bounds the length of the next brake too: it may grow by a cycle only where every joint has the room for that.
-# Whatever is in the box the gate admits, and the present brake, which keeps the hands on their line, is always in it.
+# also bounds the length of the next brake: it may grow by a cycle only if every joint has room for that. The gate
+# admits every increment in the box, and the present brake, which keeps the hands on their line, is always in it.
 #
-# Before its limit a joint is to slow down by itself, so slowly that others can take over its work, and its
-# acceleration is to change by no more than the jerk. Both are wishes within the box: where only the whole arm can
-# slow down, it does.
+# Before its limit a joint should slow down by itself, early enough for others to take over, and its acceleration
+# should change by no more than the jerk. Both are preferences within the box: if only the whole arm can slow down,
+# it does.
 
 
 APPROACH_S = 0.2
-"""Time in which a joint uses up what is left to its limit, at least [s]."""
+"""Least time in which a joint may use up its distance to a limit [s]."""
 
 ACCELERATION, SPEED, POSITION = range(3)
 """What a bound comes from; one of acceleration or jerk passes."""
@@ -62,10 +63,10 @@ class Box(NamedTuple):
     Attributes:
         slowest: (n,) least increment [rad or m].
         fastest: (n,) greatest increment [rad or m].
-        approach_down: (n,) least increment that is wished for, above `slowest` [rad or m].
-        approach_up: (n,) greatest increment that is wished for, below `fastest` [rad or m].
-        why_slowest: (n,) what the least increment comes from.
-        why_fastest: (n,) what the greatest comes from.
+        approach_down: (n,) least preferred increment, above `slowest` [rad or m].
+        approach_up: (n,) greatest preferred increment, below `fastest` [rad or m].
+        why_slowest: (n,) cause of each least increment.
+        why_fastest: (n,) cause of each greatest increment.
     """
 
     slowest: Array
@@ -189,13 +190,13 @@ LINE = 1e5
 """Cost of a squared mm off the line."""
 
 APPROACH = 1e1
-"""Cost of a mrad by which a joint approaches its limit faster than wished."""
+"""Cost of a mrad by which a joint approaches its limit faster than preferred."""
 
 CLEARANCE = 1e2
 """Cost of a mm that is missing from a clearance."""
 
 _SLACKS = 3
-"""One for each kind of barrier, so that what one kind needs does not loosen the others."""
+"""One for each kind of barrier, so that slack of one kind does not loosen the others."""
 
 _MILLI = 1e3
 """The programme counts in mm and mrad, so that its numbers are near one."""
@@ -204,10 +205,10 @@ _UNBOUNDED = 1e30
 """The solver's value for no bound."""
 
 _EQUATION = 5
-"""How the solver is told of an equation."""
+"""The solver's code for an equality constraint."""
 
 _LEAST_WAY_MM = 1e-3
-"""A task that goes by less in a cycle is weighed as if it went by so much."""
+"""Least travel of a task in a cycle by which it is weighed."""
 
 _NO_RATE_M_S = 1e-12
 """Tasks that go no faster stand."""
@@ -236,7 +237,7 @@ class Drift(NamedTuple):
 
     Attributes:
         dq: (n,) increment [rad or m].
-        weights: (n,) cost of the square of what differs from it.
+        weights: (n,) cost of the squared difference from it.
     """
 
     dq: Array
@@ -296,7 +297,7 @@ def _answered(
 
 @compiled
 def _approaching(box: Box) -> tuple[Indices, Array]:
-    """The joints that are wished to be slower than they may be, and on which side, -1 or 1."""
+    """The joints with a preferred bound inside their hard one, and its side, -1 or 1."""
     n = len(box.slowest)
     joints, senses, count = np.empty(2 * n, dtype=np.intp), np.empty(2 * n), 0
     for joint in range(n):
@@ -313,7 +314,7 @@ def _approaching(box: Box) -> tuple[Indices, Array]:
 def _written(
     wanted: Wanted, box: Box, drift: Drift, barriers: Barriers
 ) -> tuple[Array, Array, Array, Array, Array, NDArray[np.int32], Indices, Array]:
-    """The programme as the solver takes it: over the increment, the pace, the tasks' errors and the slacks.
+    """The programme in the solver's form: over the increment, the pace, the tasks' errors and the slacks.
 
     Returns:
         Cost, its linear part, rows, lower and upper bounds, kinds of the constraints, and what `_approaching` says.

@@ -1,7 +1,7 @@
 """A mode whose joints follow from tasks, by one quadratic programme per cycle (`programme`).
 
-A mode says which tasks there are: the motions of the hands, and joints that are driven by name. The rest is the same
-for all: how fast what is commanded is taken up, where it has to end, and what binds.
+A mode names the tasks: motions of the hands, and joints that are driven by name. The rest is the same for all: the
+    acceleration towards the command, the end of a motion, and the limiting factor.
 """
 
 from __future__ import annotations
@@ -43,18 +43,18 @@ from deltaq_controllers.surroundings.surroundings import Near
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles
 
-# Which constraint of a solved programme keeps the pace below what is commanded.
+# The constraint of a solved programme that keeps the pace below the commanded one.
 
 _PRESSES = 1e-9
 """Force of a constraint below which it does not bind."""
 
 
 def binding(robot: RobotModel, instant: Instant, found: Solution, box: Box, near: Near) -> Limitation | None:
-    """The constraint that presses hardest, in words; None for acceleration, which passes.
+    """The constraint with the largest multiplier, in words; None for acceleration, which passes.
 
     Args:
         robot: the robot.
-        instant: what the programme was made for.
+        instant: of the programme.
         found: its solution.
         box: the bounds of the joints in it.
         near: the barriers in it.
@@ -111,11 +111,11 @@ class Line:
             self._rotations, self._positions = held.placed(self._rotations, self._positions)
 
     def forget(self) -> None:
-        """There is no line any more."""
+        """Drop the line."""
         self._rotations = None
 
     def back(self, hands: Hands, time_s: float) -> Array:
-        """(h, 6) displacement that takes the hands back to it, clipped to what is corrected within a time [m, rad]."""
+        """(h, 6) displacement back to the line, clipped to the largest correction of a cycle [m, rad]."""
         assert self._rotations is not None  # begun
         most_m, most_rad = time_s * TAKEN_BACK_M_S, time_s * TAKEN_BACK_RAD_S
         return _back(hands.rotations, hands.positions, self._rotations, self._positions, most_m, most_rad)
@@ -163,13 +163,13 @@ SWIFT_RAD_S2, LEAST_SHARE = 4.0, 0.25
 """Acceleration from which on a revolute joint has its full share; a slower one has less, down to this part of it."""
 
 SLOWED = 0.95
-"""Pace, or share of what is commanded, below which the operator is told what binds."""
+"""Pace, or share of the command, below which the operator sees the limiting factor."""
 
 OFF_LINE_M = 1e-6
 """By how much the tasks may leave their line in a cycle for a change of direction [m]."""
 
 _AS_ASKED = 1e-9
-"""An increment that differs by less from what was asked for was admitted whole [rad or m]."""
+"""An increment that differs by less from the requested one was admitted whole [rad or m]."""
 
 
 class DrivenTasks(NamedTuple):
@@ -333,7 +333,7 @@ class ResolvedMode(TeleoperationMode):
         return Advance(found.dq, binding(self._robot, instant, found, box, near))
 
     def _together(self, tasks: DrivenTasks, held: HeldObject | None) -> DrivenTasks:
-        """The same tasks, the hands' rates without what would part them."""
+        """The same tasks, the hands' rates projected on common motion of the held object."""
         if held is None:
             return tasks
         rates, hands = tasks.rates.copy(), len(self._units)

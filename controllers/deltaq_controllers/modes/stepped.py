@@ -23,7 +23,7 @@ from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles, brake_increment
 from deltaq_protocol.driving import DrivingMode
 
-# How much of what an operator commands fits into one cycle, on the path that the mode gives.
+# The part of an operator's command that fits into one cycle, along the path of the mode.
 #
 # Clipping joints one by one would take a hand off its line. Here the motion as a whole is slowed: the increment is
 # that of a motion between the last one and the one that is commanded, as near to the command as speed,

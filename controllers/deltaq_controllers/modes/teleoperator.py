@@ -29,7 +29,7 @@ from deltaq_protocol.arrays import Array
 from deltaq_protocol.driving import HAND_AXES, DrivingMode, Frame, Grip, OperatorCommand
 from deltaq_protocol.messages import Outcome, Verdict
 
-# How much of what an operator asks for goes through, for the operator to see and to feel. Pure.
+# The executed fraction of an operator's command, for display and force feedback. Pure.
 
 
 SMOOTHED_S = 0.1
@@ -109,7 +109,7 @@ def commanded(
     held: HeldObject | None,
     q: Array,
 ) -> Motion:
-    """The motion that a mode of joints or of hands is asked for.
+    """The motion that a command asks of a mode of joints or of hands.
 
     Args:
         command: of the operator.
@@ -118,7 +118,7 @@ def commanded(
         mode: the mode that drives it.
         frame: the axes in which hands are moved.
         held: the object between the hands, which then moves in their place.
-        q: (n,) where the robot is [rad or m].
+        q: (n,) configuration [rad or m].
     """
     motion, joints = Motion.rest(robot.n, len(hands.names)), robot.joint_names
     for axis, rate in command.rates.items():
@@ -171,7 +171,7 @@ class Teleoperator:
         mode: the mode to begin with.
         frame: the axes in which hands are moved.
         modes: makers of the modes.
-        surroundings: what the robot keeps clear of by itself; without them that is left to the gate.
+        surroundings: bodies that the robot keeps clear of by itself; without them that is left to the gate.
         jerk_time_s: time in which a joint's acceleration builds up to its limit; 0 sets no limit to the jerk [s].
 
     Attributes:
@@ -181,7 +181,7 @@ class Teleoperator:
         grip: whether hands move by themselves, or hold one object together.
         held: the object that they hold.
         limitation: what limits the operator in this cycle; None if nothing does.
-        reflection: the fraction of the commanded motion that goes through.
+        reflection: the executed fraction of the commanded motion.
 
     Raises:
         ControllerError: the robot cannot be driven in that mode.
@@ -257,7 +257,7 @@ class Teleoperator:
 
     @property
     def is_at_rest(self) -> bool:
-        """Whether the robot was last asked to stand still, and did."""
+        """Whether the last increment was zero, as requested and as admitted."""
         return not self._is_moving
 
     def mode_named(self, name: DrivingMode) -> TeleoperationMode:
@@ -298,7 +298,10 @@ class Teleoperator:
             )
 
     def let_go(self) -> None:
-        """Forget how the hands hold an object; while grip `object` is commanded they take it anew at rest."""
+        """Forget the grasp.
+
+        While grip `object` is commanded, it is redefined at the present poses once the robot is at rest.
+        """
         self.grip, self.held = Grip.FREE, None
 
     def check(self, command: OperatorCommand, mode: DrivingMode, grip: Grip = Grip.FREE) -> None:
@@ -348,7 +351,7 @@ class Teleoperator:
 
     def increment(self, view: View) -> Array:
         """The increment for this cycle, (n,) [rad or m]."""
-        # one kind of array: for a read-only one the compiled parts would be compiled anew within a cycle
+        # one kind of array: a read-only one would cause a compilation within a cycle
         q_cmd, dq_last = np.array(view.own.q_cmd, dtype=np.float64), self._last.update(view.own)
         if self.surroundings is not None:
             self.surroundings.update(view)
@@ -420,10 +423,10 @@ class Teleoperator:
 
 
 SETTLE_S = 0.12
-"""How long the setpoint stands still before another mode takes over: the drives lag behind it [s]."""
+"""Time for which the setpoint is at rest before another mode takes over: the drives lag [s]."""
 
 LONGEST_JERK_TIME_S = 1.0
 """Greatest `jerk_time_s`: a robot that takes longer to change its speed is not driven, but nudged [s]."""
 
 _STILL = 1e-12
-"""An increment below this is none [rad or m]."""
+"""Increments below this count as zero [rad or m]."""

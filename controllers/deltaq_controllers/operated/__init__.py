@@ -1,1 +1,1 @@
-"""A robot driven for an operator who sits elsewhere: what the operator wishes comes in lines, from a console."""
+"""The driver process of a robot: takes an operator's commands as lines from a console."""

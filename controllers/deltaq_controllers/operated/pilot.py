@@ -31,19 +31,19 @@ from deltaq_protocol.messages import Outcome, Sight, Verdict, ViewTarget, ViewWi
 
 
 class Pilot:
-    """Turns wishes into increments: by the teleoperator, by that of a way to a pose, or by a camera controller.
+    """Turns commands into increments: by the teleoperator, along a path to a pose, or by a camera controller.
 
-    Between two of them the robot is at rest: neither knows what the other has set out to do.
+    Between two of them the robot comes to rest.
 
     Args:
         teleoperator: of the robot.
         make_follower: makes the camera controller, or raises `ControllerError` where there can be none.
         make_master: makes the master of that name and scale, or raises `ControllerError`.
-        make_planner: makes the planner of ways to poses, or raises `ControllerError` where there can be none.
+        make_planner: makes the planner of paths to poses, or raises `ControllerError` where there can be none.
 
     Attributes:
         is_following: the camera controller drives.
-        wishes: the newest, with the master and the grip that were chosen.
+        wishes: the newest command, with the chosen master and grip.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class Pilot:
         self._limit = ""
 
     def prepare(self, mode: DrivingMode) -> None:
-        """Make what a mode needs, which may take seconds; any thread may, while no lease is held.
+        """Prepare a mode, which may take seconds; callable from any thread while no lease is held.
 
         Raises:
             ControllerError: the robot cannot be driven in it.
@@ -99,18 +99,18 @@ class Pilot:
             self._teleoperator.mode_named(mode)
 
     def take(self, command: OperatorCommand, now_s: float, cycles: int | None = None) -> None:
-        """Follow a command: its mode, axes and grip from the next rest on, its motion for as long as a wish lasts.
+        """Follow a command: its mode, axes and grip from the next rest on, its motion until it expires.
 
         Outputs are for the caller; without a motion they let the present one go on.
 
         Args:
             command: to follow.
             now_s: time [s].
-            cycles: of its motion, which then is a step; None for as many as a wish lasts.
+            cycles: length of its motion, which then is a step; None: until it expires.
 
         Raises:
-            ControllerError: the mode could not be prepared or does not drive that, the robot has one hand, or the mode
-                would part hands that hold an object; nothing is wished for then.
+            ControllerError: the mode could not be prepared or does not drive that, the robot has one hand, or the
+                mode would part hands that hold an object; the command is then dropped.
         """
         if (command.mode, command.frame, command.grip) != (None, None, None):
             self._change_mode(command)
@@ -208,24 +208,24 @@ class Pilot:
         self.wishes.rest()
 
     def begin(self) -> None:
-        """A lease begins: nothing is wished for, and an object is held as the hands have it now."""
+        """A lease begins: commands are dropped, and the grasp is redefined at the present poses."""
         self.rest()
         self._takes_anew = True
 
     def take_view(self, wish: ViewWish | None) -> None:
-        """Look at what the robot's states ask for, as soon as the camera follows."""
+        """Set the requested view of the camera follower, once it follows."""
         self._view = wish
         if self._follower is not None:
             self._follower.take(wish)
 
     def seen(self) -> tuple[Sight | None, ViewTarget | None]:
-        """How well the camera sees what it looks at, and what that is, while it follows."""
+        """How well the camera sees its target, and the target, while it follows."""
         if not self.is_following or self._follower is None:
             return None, None
         return self._follower.sight, self._follower.target
 
     def held(self) -> None:
-        """The robot is held: after a reset it moves when it is wished for again, and not before."""
+        """The robot is held: after a reset it moves only on a new command."""
         self.begin()
         self.leave()
 
@@ -241,12 +241,12 @@ class Pilot:
         """The increment for this cycle, (n,) [rad or m]; None if the robot is at rest and is to stay so.
 
         Args:
-            view: what is seen.
-            is_still: the setpoint stands still.
+            view: of the cell.
+            is_still: whether the setpoint is at rest.
             now_s: time [s].
         """
         self._is_still, self._q = is_still, view.own.q
-        if is_still:  # whoever moved it before: what this teleoperator saw last is no increment
+        if is_still:  # another driver may have moved it: the difference to the last view is no increment
             view = replace(view, own=replace(view.own, dq=np.zeros_like(view.own.q)))
         if self.is_following or self._mode is DrivingMode.FOLLOW:
             return self._following(view, is_still)
@@ -325,7 +325,7 @@ class Pilot:
 
     @property
     def _goes_through(self) -> float:
-        """The fraction of the wish that mode and gate let through, in tenths: they change seldom, and are told then."""
+        """The executed fraction of the command, in tenths, so that it changes seldom."""
         if self._active is None or self.is_following or not self._limit:
             return 1.0
         return round(self._active.reflection.share, 1)

@@ -23,7 +23,7 @@ from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.driving import MOST_WAY_POINTS, DrivingMode, NearPair, OperatorCommand, Search, Way
 
-# What is told of ways that are offered: options of the advisor, or the way to a pose.
+# Reports of offered paths: options of the advisor, or the path to a pose.
 
 
 _DECIMALS = 5
@@ -95,7 +95,7 @@ _TRIED = 6
 PRACTISED_RAD = 0.05
 """How far each joint of an arm goes on the way that is practised."""
 _MEASURED = 12
-"""Configurations of a way whose least distance is told."""
+"""Number of configurations of a path at which its least distance is measured."""
 
 
 @dataclass(frozen=True)

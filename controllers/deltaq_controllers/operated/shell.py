@@ -230,5 +230,5 @@ class OperatedRobot:
 
 
 def _has_nothing_ahead(state: RobotState, own: RobotView) -> bool:
-    """Whether what is in flight, if anything, moves the robot no farther than the setpoint just sent."""
+    """Whether no increment in flight moves the robot beyond the setpoint just sent."""
     return state.q_cmd == tuple(own.q_cmd.tolist())

@@ -1,4 +1,4 @@
-"""The motion that is wished of a teleoperator now, and by which master and with which grip."""
+"""The present motion command of a teleoperator, with its master and grip."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ REST = OperatorCommand()
 
 
 class Wishes:
-    """The newest wish, for as long as it lasts.
+    """The newest motion command, until it expires.
 
     Args:
         teleoperator: of the robot.
@@ -28,7 +28,7 @@ class Wishes:
 
     Attributes:
         grip: whether all hands are to hold an object.
-        master: the one that was chosen; None without one.
+        master: the chosen master, or None.
     """
 
     def __init__(self, teleoperator: Teleoperator, make_master: Callable[[str, float], Master]) -> None:
@@ -44,11 +44,11 @@ class Wishes:
         self._wish, self._until_s, self._cycles = REST, -np.inf, None
 
     def take(self, wish: OperatorCommand, now_s: float, cycles: int | None = None) -> None:
-        """Wish for this motion from now on, for as long as a wish lasts, or for so many cycles."""
+        """Command this motion from now on, until it expires, or for so many cycles."""
         self._wish, self._until_s, self._cycles = wish, now_s + WISH_S, cycles
 
     def check(self, wish: OperatorCommand, mode: DrivingMode) -> None:
-        """Check that a wish can be followed in a mode of the teleoperator.
+        """Check that a mode of the teleoperator can follow a command.
 
         Raises:
             ControllerError: the robot has no such axis, the mode does not drive it, or no master was chosen.
@@ -60,7 +60,9 @@ class Wishes:
         self._teleoperator.check(wish, mode, self.grip)
 
     def choose_master(self, name: str, scale: float) -> None:
-        """Have another robot lead a hand while wishes say so; none for an empty name. Any thread may.
+        """Choose the robot that leads a hand while commands say so; an empty name means none.
+
+        Callable from any thread.
 
         Raises:
             ControllerError: there is no such robot, or it is the driven robot itself.
@@ -70,7 +72,7 @@ class Wishes:
         self.master = master
 
     def command(self, now_s: float) -> OperatorCommand:
-        """The command of this cycle; `REST` if there is no wish."""
+        """The command of this cycle; `REST` if it has expired."""
         lasts = now_s < self._until_s
         if self._cycles is not None:
             lasts, self._cycles = self._cycles > 0, max(0, self._cycles - 1)

@@ -33,14 +33,14 @@ from deltaq_protocol.pad_layout import PAD_LAYOUT, VIEW_STEP_M, PadFunction
 
 # A gamepad as SDL knows it: its database of mappings gives sticks and buttons the same names on every pad.
 #
-# A pad counts once every stick and trigger has been seen at rest since it was found. Until then its presses are told,
-# for the button that ends the drive, and nothing is held. Pads come and go while one looks.
+# A pad counts once every stick and trigger has been seen at rest since it was found. Until then only its presses are
+# reported, for the button that ends the drive. Pads may be plugged in and out at any time.
 
 
 PULLED, LET_GO = 0.7, 0.3
 """Way of a trigger from which on it is pulled, and below which it can be pulled again."""
 RUMBLE_S = 0.4
-"""A rumble that is not told again ends by itself after this, whatever becomes of the drive."""
+"""A rumble ends after this time unless it is renewed, also if the drive ends."""
 _LEVELS = 8
 SETTLE_S = 0.3
 """A pad that was found tells how its buttons and sticks stand within this."""
@@ -90,13 +90,13 @@ class PadButton(IntEnum):
 
 @dataclass(frozen=True)
 class PadState:
-    """How a pad stands.
+    """The state of a pad.
 
     Attributes:
         sticks: deflection of each, from -1 to 1, 0 in the dead zone.
         held: buttons that are held, since a press that was seen.
-        pressed: buttons that went down since the last look, in their order.
-        pulled: triggers that were pulled since the last look.
+        pressed: buttons pressed since the last poll, in their order.
+        pulled: triggers pulled since the last poll.
         waits_for: sticks and triggers that were not seen at rest yet, in words; the pad counts once there are none.
     """
 
@@ -372,7 +372,7 @@ class Gamepad(OperatorInput):
                 self._step(1 if function is PadFunction.NEXT else -1)
 
     def _step(self, step: int) -> None:
-        """The next of what one chooses among in this mode: options, joints, or the hand's speeds."""
+        """Select the next option, joint, or speed of the hand, by mode."""
         if self._is_advised:
             self.option = (self.option - 1 + step) % _OPTIONS + 1
         elif self._is_by_hand:

@@ -152,12 +152,12 @@ class Keyboard(OperatorInput):
             elif key == "t":
                 frame = other_frame(self._teleoperator)
             elif key == "h":
-                self._held.release()  # what moves now is not what a key was held for
+                self._held.release()  # the key was held for another motion
                 self.hand = next_hand(self._teleoperator, self.hand)
             elif key == "g":
                 self.output.next()
             elif key in _SWITCH_KEYS:
-                self._held.release()  # what is let go or gripped is not carried on by a key that was held
+                self._held.release()  # a held key does not move an object that was just gripped or released
                 outputs |= self.output.switched(_SWITCH_KEYS[key])
             elif key in "+-":
                 self.speed_m_s = changed_speed(self.speed_m_s, is_faster=key == "+")

@@ -1,4 +1,4 @@
-"""Another robot of the cell, whoever drives it, as what an operator holds: its tool leads a hand."""
+"""Another robot of the cell as an input device: its tool leads a hand."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell
 from deltaq_protocol.driving import HAND_AXES, Frame, OperatorCommand
 
-# The motion of one tool as the wish for another one. Pure: what is seen is handed in.
+# The motion of one tool as the command for another one. Pure: the caller passes poses.
 
 
 PULL_1_S = 4.0
@@ -89,14 +89,14 @@ class LedPose:
 
         Args:
             master: its tool, as measured.
-            hand: that is led, as commanded.
+            hand: the led hand, as commanded.
             own_axes: the master's way in the axes of its tool is the hand's in its own.
         """
         self.release()
         self._anchor = _Anchor(master, hand, hand.rotation @ master.rotation.T if own_axes else np.eye(3))
 
     def twist(self, time_s: float, master: PlacedTool, hand: PlacedTool) -> Array | None:
-        """The twist (6,) that is wished of the hand, world axes [m/s, rad/s]; None if the master jumped.
+        """The commanded twist (6,) of the hand, world axes [m/s, rad/s]; None if the master jumped.
 
         Args:
             time_s: stamp of the master's pose on its own clock [s].
@@ -112,7 +112,7 @@ class LedPose:
         turn = pin.exp3(anchor.axes @ pin.log3(master.rotation @ anchor.master.rotation.T))
         left = _clipped(anchor.hand.position + way - hand.position, SLACK_M)
         askew = _clipped(pin.log3(turn @ anchor.hand.rotation @ hand.rotation.T), SLACK_RAD)
-        # what is beyond the slack is given up
+        # displacement beyond the slack is dropped
         anchor.hand = PlacedTool(turn.T @ pin.exp3(askew) @ hand.rotation, hand.position + left - way)
         ahead = np.concatenate([self._scale * (anchor.axes @ self._twist[:3]), anchor.axes @ self._twist[3:]])
         wished: Array = ahead + PULL_1_S * np.concatenate([left, askew])
@@ -144,7 +144,7 @@ def _clipped(vector: Array, size: float) -> Array:
 
 HELP = "the master leads the hand while c was the last key, or while a button that moves is held"
 STALE_S = 0.15
-"""A master of which nothing new was seen for so long is lost; it is coupled anew [s]."""
+"""A master without a new state for this time is lost, and must be coupled again [s]."""
 MOST_M_S, MOST_RAD_S = 0.5, 1.75
 """Greatest speed that a master asks for."""
 
@@ -169,14 +169,14 @@ def looking_at(cell: Cell, master: str, robot: str) -> LookAtBoth:
 class Master:
     """The rates of a hand from the measured motion of another robot's tool, while commands have it led.
 
-    A master leads once it was seen at rest. One that is not seen any more, or that jumped, is uncoupled until the
-    operator couples it again.
+    A master leads once it was seen at rest. If it jumps or its states stop, it is uncoupled until the operator
+    couples it again.
 
     Args:
         teleoperator: the robot that is driven.
         master: the robot that leads.
-        look: returns what is seen of both.
-        scale: way of the hand for each metre of the master's.
+        look: returns the states of both.
+        scale: travel of the hand for each metre of the master's.
 
     Attributes:
         name: of the master.
@@ -307,7 +307,7 @@ class LedInput(OperatorInput):
         return None if command is None else self._master.lead(command, time_s)
 
     def reflect(self, share: float) -> None:
-        """Hand on what goes through to a device that can tell it."""
+        """Pass the executed fraction to a device with force feedback."""
         self._device.reflect(share)
 
     def __enter__(self) -> Self:

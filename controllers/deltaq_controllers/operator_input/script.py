@@ -24,7 +24,7 @@ ScriptMode = Literal["joint", "decoupled", "self-motion", "advisor", "coupled"]
 
 
 class ScriptStep(BaseModel):
-    """One step of a script: what to move for how long."""
+    """One step of a script: a motion and its duration."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 

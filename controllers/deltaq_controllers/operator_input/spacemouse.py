@@ -32,7 +32,7 @@ from deltaq_protocol.driving import HAND_AXES, DrivingMode, OperatorCommand
 FULL = 350
 """Greatest deflection that a device reports."""
 MOST = 3 * FULL
-"""A number beyond it is none of a deflection."""
+"""Greatest valid number of a deflection."""
 SETTLE_S = 0.3
 """A cap that is deflected as the device is found reports so within this."""
 STALE_S = 0.3
@@ -92,7 +92,7 @@ class SixAxis:
         if self._settled_s is None:
             self._settled_s = time_s + SETTLE_S
         if time_s < self._settled_s:
-            self._held = frozenset()  # what is held as the device is found was not meant for the robot
+            self._held = frozenset()  # buttons held when the device is found are not meant for the robot
             return SixAxisState(dict.fromkeys(HAND_AXES, 0.0))
         if time_s - self._told_s > STALE_S and any(self._raw):
             self._let_go.clear()
@@ -159,7 +159,7 @@ _CONTROLLER, _UNKNOWN = (0x01, 0x08), (0, 0)
 
 
 def is_spacemouse(found: dict[str, Any]) -> bool:
-    """Whether what hidapi found is a 6-axis controller, and not another interface of it."""
+    """Whether a device of hidapi is the 6-axis interface of a SpaceMouse."""
     maker, product = found["vendor_id"], found["product_id"]
     is_made = maker == _MAKER or (maker == _MAKER_BEFORE and product in _PRODUCTS_BEFORE)
     return is_made and (found.get("usage_page", 0), found.get("usage", 0)) in (_CONTROLLER, _UNKNOWN)

@@ -27,7 +27,7 @@ class AskedViewDistance:
         robot: the robot that is watched.
 
     Attributes:
-        status: what became of the last step, for the operator.
+        status: result of the last step, for the operator.
     """
 
     def __init__(self, cell: Cell, robot: str) -> None:

@@ -46,8 +46,7 @@ _TRAJECTORIES_KEPT = 4
 class RosSession:
     """A separate session, only to a router of ROS; it neither listens nor scouts.
 
-    Its mode is `client`: between two peers rmw_zenoh's router does not hand on what they send, between a client and
-    others it does.
+    Its mode is `client`: rmw_zenoh's router forwards no messages between two peers, but between a client and others.
 
     Args:
         session: of zenoh, open; `join` opens one.
@@ -84,7 +83,7 @@ class RosSession:
         return RosPublisher(publisher, endpoint)
 
     def subscribe(self, topic: str, kind: RosType, take: Callable[[bytes, bytes | None], None]) -> None:
-        """Call `take` in the loop with messages of a topic, and what is attached to them."""
+        """Call `take` in the loop with each message of a topic and its attachment."""
         self._declared += 1
         endpoint = self._node.subscription(self._declared, topic, kind, _TRAJECTORIES_KEPT)
 
@@ -109,7 +108,7 @@ class RosSession:
 
 
 class RosPublisher:
-    """Publishes messages, each with what rmw_zenoh attaches."""
+    """Publishes messages, each with rmw_zenoh's attachment."""
 
     def __init__(self, publisher: Any, endpoint: RosEndpoint) -> None:
         self._publisher, self._gid = publisher, endpoint.gid
@@ -158,7 +157,7 @@ _SILENCE_S = 1.0
 
 
 class BridgeUseError(DeltaqError):
-    """The bridge is asked for what cannot be."""
+    """The bridge is used in an impossible way."""
 
 
 @dataclass(frozen=True)

@@ -38,8 +38,8 @@ class RefusedMessageError(DeltaqError):
 # aligned.
 # Source: OMG Data-Distribution Service Interoperability Wire Protocol 2.2, 10.2, and DDS X-Types 1.3, 7.4.
 #
-# What is read may come from anybody: a length is compared with its bound, and with the bytes that are left, before
-# anything of that length is made.
+# Messages may come from any sender: a length is compared with its bound and with the remaining bytes before memory
+# of that length is allocated.
 
 
 ENCAPSULATION = b"\x00\x01\x00\x00"

@@ -20,16 +20,16 @@ from deltaq_controllers.ros2.trajectory import START_WITHIN, Path, Trajectory, p
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Outcome, Phase, Reason, RobotState, RobotSummary, Verdict
 
-# Follow a path from cycle to cycle: what is asked for is on it, and where less is admitted its time stretches.
+# Follow a path cycle by cycle: requests stay on it, and the motion slows down where less is admitted.
 
 
-# How fast a path may be driven at each place, so that the robot can slow down in time for what lies ahead.
+# The speed profile of a path, so that the robot can slow down in time for bends and the end.
 
 SHARE = 0.7
 """Share of the joints' acceleration limits that a bend or a corner of the path may take."""
 
 _BRAKED = 0.9
-"""Share that bends and slowing down for what is ahead take together."""
+"""Share of the acceleration for bends and for slowing down, together."""
 
 _MOST_PLACES = 20_000
 _CYCLES_BEFORE = 2.0
@@ -287,7 +287,7 @@ def _edge(holds: Callable[[Array], Array], inside_s: float, outside_s: float) ->
 
 
 TrajectoryNews = Callable[[str, Mapping[str, Any]], None]
-"""Tells people, and with fields programs, what has happened."""
+"""Logs an event, with fields for programs."""
 
 _NOTHING = 1e-9
 """Less than that is no difference of setpoints [rad or m]."""
@@ -334,11 +334,11 @@ class TrajectoryMover:
 
     @property
     def done(self) -> float | None:
-        """Share of the time of the trajectory that is driven, 0 to 1; None if there is none."""
+        """Executed share of the trajectory's time, 0 to 1; None without a trajectory."""
         return None if self._driven is None else self._driven.done
 
     def hear(self, message: bytes, attachment: bytes | None, now_ns: int) -> None:
-        """A message has come, from anybody; now is in ns since the epoch."""
+        """Take a message, from any sender; `now` is in ns since the epoch."""
         try:
             RosAttachment.decode(attachment)
             trajectory = read_trajectory(JointTrajectory.decode(message), self._robot, now_ns)
@@ -383,7 +383,7 @@ class TrajectoryMover:
         return dq
 
     def _rests(self, state: RobotState, view: View) -> bool:
-        """Whether nothing is in flight any more: whoever gave the lease back before would take it back, too."""
+        """Whether no increment is in flight: releasing the lease earlier would discard it."""
         self._resting_cycles += 1
         in_flight = np.abs(view.own.q_cmd - np.array(state.q_cmd)).max()
         return bool(in_flight <= _NOTHING) or self._resting_cycles * self._cycle_s > _LONGEST_REST_S
@@ -394,7 +394,7 @@ class TrajectoryMover:
             self._limited_by = verdict.reasons
 
     def lose(self, why: str) -> None:
-        """The robot cannot be moved any more: the present and waiting trajectories have ended; `why` is for people."""
+        """The robot is lost: end the present and the waiting trajectories; `why` is for people."""
         if self.has_work:
             self._driven = self._waiting = None
             self.counters["ended_lost"] += 1

@@ -1,4 +1,4 @@
-"""How rmw_zenoh names what it sends: key expressions, liveliness tokens, quality of service, attachments.
+"""The names of rmw_zenoh: key expressions, liveliness tokens, quality of service, attachments.
 
 Pure text and bytes. Source: github.com/ros2/rmw_zenoh, `docs/design.md` ("Topic and Service name mapping", "Graph
 Cache", "Publishers") and, for quality of service, `qos_to_keyexpr` in `rmw_zenoh_cpp/src/detail/liveliness_utils.cpp`.
@@ -79,9 +79,9 @@ class RosEndpoint:
 
     @property
     def gid(self) -> bytes:
-        """16 bytes that tell it from all others.
+        """16 bytes that identify it.
 
-        rmw_zenoh takes another hash of the token; whoever receives a gid compares it with gids that it received.
+        Rmw_zenoh uses another hash of the token; receivers only compare gids with each other.
         """
         return hashlib.blake2b(self.token.encode(), digest_size=_GID_BYTES).digest()
 
@@ -106,7 +106,7 @@ class RosAttachment:
 
     @classmethod
     def decode(cls, attachment: bytes | None) -> Self:
-        """The same from bytes.
+        """Read an attachment from bytes.
 
         Raises:
             RefusedMessageError: they are no such attachment, or there is none.
@@ -167,5 +167,5 @@ def _mangled(name: str) -> str:
 
 
 def _quality(depth: int) -> str:
-    """Reliable, volatile, the last `depth` kept: what differs from rmw_zenoh's defaults is written, here the depth."""
+    """Reliable, volatile, the last `depth` kept: of these only the depth differs from rmw_zenoh's defaults."""
     return f"::,{depth}:,:,:,,"

@@ -127,7 +127,7 @@ START_WITHIN = {"rad": 0.02, "m": 0.005}
 """How far from the robot's setpoint a first point with `time_from_start` 0 may be, by the joint's unit [rad, m]."""
 
 _ROUNDING = 1e-6
-"""Relative to a limit: a trajectory at its limit is none beyond it."""
+"""Tolerance relative to a limit: a trajectory exactly at a limit is allowed."""
 
 _AT_REST = 1e-3
 """Share of a joint's greatest speed that counts as rest at the end."""
@@ -265,7 +265,7 @@ def _times_s(points: tuple[JointTrajectoryPoint, ...]) -> Array:
 
 
 def _check_limits(trajectory: Trajectory, robot: RobotSummary) -> None:
-    """Check the points themselves; what lies between them is checked when it is known where the robot is."""
+    """Check the points; the path between them is checked when the start is known."""
     last = f"points[{len(trajectory.q) - 1}]"
     for joint, unit in enumerate(robot.units):
         lower, upper = robot.lower[joint], robot.upper[joint]

@@ -28,7 +28,7 @@ class Keeping(NamedTuple):
     Attributes:
         foreign: (p,) whether the pair's other body belongs to another robot.
         margins: (p,) least distance, however they move [m].
-        shares: (p,) part of what is left of a distance that one cycle may take.
+        shares: (p,) part of the remaining distance that one cycle may use up.
         reaction_s: time for which another robot is expected to keep its speed [s].
         others_brake_m_s2: deceleration that is expected of another robot [m/s^2].
     """
@@ -79,7 +79,7 @@ def barriers_of(
     gives way to the view, since the gate stops them.
 
     Args:
-        near: what is near where the present brake ends.
+        near: the near bodies at the end of the present brake.
         keeping: how distances are kept.
         braking: the brake.
         rates: (m,) rates of all joints of the cell, the own ones zero [rad/s or m/s].

@@ -53,7 +53,7 @@ def go_to(
     Each travels no farther than its centre, plus its radius times the rotations of all joints that it is `turned_by`.
 
     Returns:
-        (6, m) velocities of what the joints carry, at the world's origin.
+        (6, m) unit twists of the joints, at the world's origin.
     """
     placements, columns = placed_joints(tree, q)
     now, turned = placed(spheres, placements), np.abs(q - q_before)

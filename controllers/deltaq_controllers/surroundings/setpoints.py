@@ -53,7 +53,7 @@ class OtherRobots:
         return self._others[name]
 
     def ahead(self, time_s: float = 0.0) -> dict[str, Array]:
-        """(m,) setpoint of each robot that was heard, a time after the own robot's next increment [rad or m]."""
+        """(m,) setpoint of each robot with a state, a given time after the own robot's next increment [rad or m]."""
         return {name: other.ahead(time_s) for name, other in self._others.items() if other.setpoints.started}
 
     def spheres_ahead(self, time_s: float) -> tuple[Array, Array]:
@@ -63,7 +63,7 @@ class OtherRobots:
         return np.concatenate(centres), np.concatenate([self._bodies[name].radii for name in expected])
 
     def joined(self, q: Array, others: Mapping[str, Array]) -> Array:
-        """(m,) joints of all robots of the cell, the own at `q` (n,); a robot that was not heard counts at home."""
+        """(m,) joints of all robots of the cell, the own at `q` (n,); a robot without a state counts as at home."""
         return np.concatenate(
             [q if name == self._own else others.get(name, robot.home) for name, robot in self._robots.items()]
         )
@@ -81,13 +81,13 @@ class OtherRobots:
 
 
 STALE_S = 0.1
-"""Age of a view beyond what the link always takes, from which on it is stale: its motion fades."""
+"""Age of a view beyond the link's usual delay, above which it is stale: its motion fades."""
 LOST_S = 1.0
 """The same, from which on the other robot is lost: it is taken to stand where it was foreseen last."""
 _ACCELERATION_S = 0.03
-"""How long an acceleration that nobody sees goes on; nobody accelerates for long."""
+"""Time for which an unobserved acceleration is assumed to last."""
 _STEADY_S, _VELOCITY_S = 0.15, 0.3
-"""How long a velocity that nobody sees is taken to stay, and then to decay."""
+"""Times for which an unobserved velocity is assumed to stay, and then to decay."""
 _PAST_S = 0.3
 """For how long setpoints are kept: drives that lag longer are not driven."""
 
@@ -102,7 +102,7 @@ class SetpointTracker:
     """Setpoints of one robot, their velocity and acceleration.
 
     Args:
-        cycle_s: cycle of the robot [s]; setpoints are told apart by cycles, since stamps of their arrival jitter.
+        cycle_s: cycle of the robot [s]; setpoints are distinguished by cycles, since stamps of their arrival jitter.
 
     Attributes:
         velocity: (n,) of the newest setpoint [rad/s or m/s]; empty before the first.

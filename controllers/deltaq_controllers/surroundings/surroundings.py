@@ -21,10 +21,10 @@ CLEAR_OF_OTHERS_M, CLEAR_OF_STRUCTURE_M, CLEAR_OF_SELF_M = 0.03, 0.01, 0.01
 """Distances that are kept beyond those of the gate [m]."""
 
 RANGE_M, RANGE_OF_OTHERS_M = 0.15, 0.5
-"""How far beyond what is kept a pair is taken into account [m]."""
+"""Distance beyond the least distance within which a pair is considered [m]."""
 
 SHARE, SHARE_OF_OTHERS = 0.05, 0.05
-"""Part of what is left of a distance that one cycle may take: what brakes in 39 cycles stops before it is used up."""
+"""Part of the remaining distance that one cycle may use up: a motion that brakes in 39 cycles stops before zero."""
 
 REACTION_S, OTHERS_BRAKE_M_S2 = 0.2, 2.0
 """How long another robot is expected to keep its speed [s], and how hard it brakes then [m/s^2]."""

@@ -1,1 +1,1 @@
-"""Escape from an attacker seconds ahead: courses of the arm are simulated on a model, and the best one leads."""
+"""Escape from an attacker seconds ahead: the best of many simulated trajectories leads the arm."""

@@ -115,11 +115,11 @@ def clearance(
     Args:
         arm: the robot.
         bodies: (b,) their numbers, `arm.own` or some of these.
-        placed: where it is.
+        placed: the robot as placed.
         centres: (m, 3) of the spheres [m].
         radii: (m,) of the spheres [m].
         shift: by which they have moved [m].
-        least: what is far enough [m].
+        least: distance beyond which no exact value is needed [m].
     """
     for body in bodies:
         for ball in range(len(radii)):

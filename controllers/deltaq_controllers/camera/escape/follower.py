@@ -1,9 +1,10 @@
 """The quadratic programme, led away from an attacker by a plan that looks seconds ahead.
 
-What corners a reactive follower is a joint's limit a few seconds on. So courses of the arm are tried on a model of
-both robots, and while the best one is in danger the programme follows it in place of the evasion of (12): limits,
-least distances and the view stay above it, as they stand above the evasion. Only the distance that others need to
-brake in is left to the course, which has foreseen where they go.
+A reactive follower is cornered by joint limits a few seconds ahead. So candidate trajectories (courses) of the arm
+are tried on a model of both robots, and while the best one is in danger the programme follows it in place of the
+evasion of (12): limits,
+least distances and the view stay above it, as they stand above the evasion. Only the braking distance of others is
+left to the course, which has predicted their motion.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ _SETS = 256
 """Sets of rivals that are drawn in advance and tried in turn, one a cycle; the choice depends only on the cycle."""
 
 _ANYWHERE, _ABOUT_HELD = 0.5, 0.8
-"""Shares of goals that are anywhere, and of these and those about the first goal of the held course."""
+"""Cumulative shares of goals: anywhere in joint space, and near the first goal of the present course."""
 
 _FREE = 0.05
 """Distance of goals from a joint's limits, as a fraction of its range."""
@@ -45,11 +46,11 @@ _FIRST_STEPS = 3
 """Least time at a course's first goal, in steps."""
 
 _AHEAD = 2
-"""Steps over which the way along a course gives the rates that lead."""
+"""Steps of a course from which the leading rates are computed."""
 
 
 class EscapePlan:
-    """Holds a course, and looks for a better one; the time of every cycle has the same bound.
+    """Keeps a course, and searches for a better one, with bounded time in every cycle.
 
     Args:
         arm: the robot.
@@ -57,7 +58,7 @@ class EscapePlan:
         cycle_s: time between two calls [s].
 
     Attributes:
-        cost: of the course that is held, in the last cycle.
+        cost: of the present course, in the last cycle.
     """
 
     def __init__(self, arm: EscapingArm, gains: EscapeGains, cycle_s: float) -> None:
@@ -81,7 +82,7 @@ class EscapePlan:
         self.cost = 0.0
 
     def rates(self, attacker: Attacker, start: CourseStart) -> Array:
-        """(n,) rates along the best course that is known [rad/s or m/s]."""
+        """(n,) rates along the best known course [rad/s or m/s]."""
         q, gains = start.q, self._gains
         stay = (q, gains.steps, q)
         held = self._held or stay
@@ -97,7 +98,7 @@ class EscapePlan:
         return rates
 
     def _draw_rivals(self, q: Array, held: Array) -> None:
-        """The next set; each goal is anywhere, or about the first one of the held course, or about `q`."""
+        """The next candidates; each goal is random, near the first one of the present course, or near `q`."""
         kind, nearby = self._kind[self._set], self._nearby[self._set]
         about = np.where(kind < _ABOUT_HELD, held, q)
         near = np.clip(about + nearby, self._low, self._high)
@@ -128,7 +129,7 @@ class EscapingFollower(QpFollower):
     """Arguments and attributes as of `QpFollower`."""
 
     def _warm_up(self) -> None:
-        """Make the plan, of which the first cycles are part, and make it anew after them."""
+        """Make the plan, run its first cycles to compile it, and make it again."""
         led = self._escape_gains = EscapeGains()
         self._gains_led = self._gains_near._replace(
             evasion_weight=led.led_evasion_weight, distance_weight=led.led_weight, room_weight=led.led_weight
@@ -138,7 +139,7 @@ class EscapingFollower(QpFollower):
         self._keeping_led = self._keeping._replace(reaction_s=0.0, others_brake_m_s2=math.inf)
         self._think_anew()
         super()._warm_up()
-        self._think_anew()  # warming up it has seen an attacker that is none
+        self._think_anew()  # during the warm-up it has seen an attacker that does not exist
 
     def _think_anew(self) -> None:
         self._plan = EscapePlan(self._arm, self._escape_gains, self._cycle_s)

@@ -32,9 +32,9 @@ _LEAST_M_S = 0.05
 class Pursuit:
     """The leader as an attacker.
 
-    For each point that its tool may be after, the velocity of a tool that homes in on that point is predicted from
-    cycle to cycle. The target is the point whose prediction has been off least of late; there is none if all are far
-    off. The velocity's direction alone does not tell it: a tool that an arm has slipped past still turns.
+    For each point that its tool may attack, the velocity of a tool that homes in on it is predicted from cycle to
+    cycle. The target is the point with the least recent prediction error; there is none if all errors are large. The
+    direction of the velocity alone is not enough: a tool that an arm has evaded still turns.
 
     Args:
         scene: the cell and the roles of its robots.

@@ -1,8 +1,8 @@
 """The cost of a course of the arm, simulated on a model of the robot and of its attacker, compiled.
 
 The arm goes to one goal and then to another, its joints as fast as speed and acceleration let them; those that the
-view needs are turned by the law (9). The attacker's tool homes in on a point of the arm, however that moves, and its
-bodies go where the tool goes.
+view needs are turned by the law (9). The attacker's tool homes in on a moving point of the arm, and its bodies move
+with the tool.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ class EscapeGains(NamedTuple):
 
     Attributes:
         step_s: time between two steps of a course [s].
-        steps: how many of them are looked ahead.
+        steps: length of the horizon in steps.
         rivals: new courses that are tried in each cycle; each costs the same time at most.
         range_m: clearance from the attacker from which on it costs nothing [m].
         near: cost at zero clearance; it grows with the square of the shortfall to `range_m`.
         close_m: clearance below which it costs `close` more, in proportion [m].
         close: at no clearance.
         contact_m: clearance below which it counts as a contact: what the model cannot tell from one [m].
-        contact: of a contact, and of each step after it: what has been hit is hit.
+        contact: of a contact, and of each step after it: the cost of a contact persists.
         view_rad: view angle error from which on it costs [rad].
         askew: per rad of a greater error, and no more than for half a rad.
         own_m: distance that the arm keeps from itself and from the structure [m].
@@ -114,7 +114,7 @@ class Courses(NamedTuple):
 
 
 class CourseStart(NamedTuple):
-    """Where courses begin: `q` (n,), its `rates` (n,), the `focus` (3,) [m] and the desired `distance` [m]."""
+    """Start of courses: `q` (n,), its `rates` (n,), the `focus` (3,) [m] and the desired `distance` [m]."""
 
     q: Array
     rates: Array
@@ -123,7 +123,7 @@ class CourseStart(NamedTuple):
 
 
 class Simulation(NamedTuple):
-    """What courses are simulated in, so that none makes an array.
+    """Memory for the simulation of courses, so that none allocates an array.
 
     Attributes:
         placed: the arm, as the gate's kernel places it.
@@ -147,7 +147,7 @@ class Simulation(NamedTuple):
 
     @classmethod
     def of(cls, arm: EscapingArm, gains: EscapeGains) -> Self:
-        """One for courses of an arm."""
+        """Memory for the courses of an arm."""
         n = len(arm.lower)
         tool, paths = np.zeros((3, 3)), np.zeros((2, gains.steps, n))
         return cls(
@@ -164,10 +164,10 @@ def best_course(
     courses: Courses,
     simulation: Simulation,
 ) -> tuple[int, int, float]:
-    """The best of some courses; the first one is held unless another is clearly better.
+    """The best of some courses; the first one is kept unless another is clearly better.
 
     Returns:
-        Number of the best, of the best of the others, and what the best costs; its way is `simulation.best`.
+        Number of the best, number of the best other one, and cost of the best; its path is `simulation.best`.
     """
     best, second, least = 0, 0, math.inf
     bound = math.inf
@@ -194,7 +194,7 @@ def course_cost(
     simulation: Simulation,
     bound: float,
 ) -> float:
-    """Cost of one course, whose way is `simulation.path`; once it is above `bound` the rest is not looked at."""
+    """Cost of one course, whose path is `simulation.path`; the simulation ends once the cost is above `bound`."""
     q, rates, placed, seen = simulation.q, simulation.rates, simulation.placed, simulation.seen
     for joint in range(len(q)):
         q[joint], rates[joint] = start.q[joint], start.rates[joint]
