@@ -81,7 +81,7 @@ def plant(robots: int, bodies: int, seed: int = 0) -> dict[str, Any]:
         "gate": {
             "stop_distance_m": 0.05,
             "self_stop_distance_m": 0.02,
-            "servo_lag_s": 0.072,
+            "servo_lag_s": 0.204,
             "retreat_speed": 0.1,
         },
         "robots": {
