@@ -20,16 +20,14 @@ from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Phase, RobotStatus
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.phases import MAY_MOVE
-from deltaq_testing.faults.catalogue import Bombard, Fault, Freeze, Kill, PressStop, ReadNothing
+from deltaq_testing.faults.catalogue import PressStop
 from deltaq_testing.faults.controller import CellUseError
-from deltaq_testing.faults.live_cell import MovingCell, Needs, rows_of
-from deltaq_testing.faults.live_inject import Injector
+from deltaq_testing.faults.live_inject import Injector, applies_live
 from deltaq_testing.faults.panel import PanelClient, PanelError, pendant_message, recovery
 from deltaq_testing.observed import Observed, RobotHistory
-from deltaq_testing.oracle import record_cycle_s
+from deltaq_testing.oracle import record_cycle_s, rows_of
 from deltaq_testing.schedule import ScheduleError, TimedFault, checked
 from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
-from deltaq_testing.virtual_cell.parts import Process
 
 CLIENT = "deltaq testing"
 _BACK_S = 20.0
@@ -43,14 +41,6 @@ _APPROACH = 0.2
 """Share of what is missing to home that is asked for in a cycle: an increment or two are in flight."""
 _HOME_SHARE = 0.1
 """Share of the largest increment with which a robot is brought home."""
-
-
-def applies_live(fault: Fault) -> bool:
-    """Whether a live cell under test can suffer it: as it is, without a relay, a recorder or other clocks."""
-    needs = Needs.of(fault)
-    own = fault.action in (Kill(Process.CONTROLLER), Freeze(Process.CONTROLLER), ReadNothing())
-    port_zero = fault.action is Bombard.PORT_ZERO  # needs a privilege
-    return fault.live and not (own or port_zero or needs.place or needs.recorder or needs.clocks)
 
 
 class LiveCell(Observed):
@@ -83,8 +73,7 @@ class LiveCell(Observed):
         description = loaded.model.description
         self.url, self.tcp_port = description.hli, description.tcp_port
         self._launcher, self._panels, self._records = launcher, panels, records
-        moving = MovingCell(launcher, panels[robot], {}, None, None)
-        self._injector = Injector(moving, loaded, robot)
+        self._injector = Injector(launcher, panels[robot], description, robot)
         self._waiting: tuple[TimedFault, ...] = ()
         self._standing: list[TimedFault] = []
         self._programs: list[subprocess.Popen[bytes]] = []

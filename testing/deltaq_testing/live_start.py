@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 from deltaq_deploy.launch.launcher import Launcher
-from deltaq_deploy.launch.services import cell_services
+from deltaq_deploy.launch.services import Role, Service, cell_services
 from deltaq_testing.faults.controller import CellUseError
-from deltaq_testing.faults.live_cell import recorded
 from deltaq_testing.faults.panel import PanelClient, load_rsi_cell
 from deltaq_testing.live import LiveCell
 from deltaq_testing.private_cell import write_private_cell
@@ -46,6 +46,13 @@ def live_cell(folder: Path, cell: str | Path = "lab", robot: str | None = None) 
         live.begin()
         stack.callback(live.end_programs)
         yield live
+
+
+def recorded(service: Service, records: dict[str, Path]) -> Service:
+    """The service, an emulated controller with the record that it is to write."""
+    if service.role is not Role.EMULATOR or service.robot is None:
+        return service
+    return replace(service, arguments=(*service.arguments, "--record", str(records[service.robot])))
 
 
 class LiveCells:

@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
+from deltaq_emulator.states import KrcState
 from deltaq_protocol.arrays import Array, Indices
 
 
@@ -321,6 +322,24 @@ def record_cycle_s(record: Path) -> float:
         next(rows)
         cycle, time_s, *_ = next(rows).split(",")
     return float(time_s) / int(cycle)
+
+
+def rows_of(record: Path, from_byte: int = 0) -> Array:
+    """Whole rows of a record that is being written: cycle, q (n), setpoint (n), 1 while RSI runs.
+
+    Args:
+        record: the file.
+        from_byte: where to begin; the line there is left out, as the heading is.
+    """
+    with record.open(encoding="utf-8") as file:
+        file.seek(from_byte)
+        text = file.read()
+    lines = text[: text.rfind("\n")].splitlines()[1:]
+    rows = []
+    for line in lines:
+        cycle, _, *numbers, state = line.split(",")
+        rows.append([float(cycle), *map(float, numbers), float(state == KrcState.RSI_RUNNING)])
+    return np.array(rows)
 
 
 def limit_violations(robot: RobotModel, setpoints: Array, cycle_s: float) -> LimitCounts:

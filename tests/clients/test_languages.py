@@ -21,9 +21,9 @@ from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.guarded import Request
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_testing.impairment.process import RelayProcess
 from deltaq_testing.impairment.relay import TrafficUnit
 from deltaq_testing.impairment.stream import StreamFaults
+from studies.live_faults.relay_process import RelayProcess
 
 pytestmark = [pytest.mark.service, pytest.mark.long]
 

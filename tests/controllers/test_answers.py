@@ -28,9 +28,9 @@ from deltaq_protocol.client import Cell
 from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_services.hli.shell import Hli
-from deltaq_testing.impairment.process import RelayProcess
 from deltaq_testing.impairment.relay import TrafficUnit
 from deltaq_testing.impairment.stream import StreamFaults
+from studies.live_faults.relay_process import RelayProcess
 
 STEP = 1e-4
 

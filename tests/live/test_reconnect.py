@@ -15,12 +15,12 @@ from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.messages import Increment, LeaseAction, LeaseReply, LeaseRequest, RobotState, Verdict
 from deltaq_protocol.proof import Prover
 from deltaq_protocol.session import open_session, subscribe_newest
-from deltaq_testing.faults.live_cell import RelayPlacement, placed
 from deltaq_testing.faults.panel import load_rsi_cell
-from deltaq_testing.impairment.process import RelayProcess
 from deltaq_testing.impairment.relay import TrafficUnit
 from deltaq_testing.impairment.stream import StreamFaults
 from deltaq_testing.virtual_cell.parts import Link
+from studies.live_faults.moving_cell import RelayPlacement, placed
+from studies.live_faults.relay_process import RelayProcess
 
 # tests/services hold it by day of HLI and gate, each alone
 pytestmark = [pytest.mark.live, pytest.mark.nightly]

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from deltaq_testing.faults.clocks import Clocks, NoCompilerError, SettableClocks
+from studies.live_faults.clocks import Clocks, NoCompilerError, SettableClocks
 
 pytestmark = pytest.mark.service
 

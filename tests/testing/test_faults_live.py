@@ -8,8 +8,8 @@ from commands import PROGRAM
 
 from deltaq_testing.faults.catalogue import CATALOGUE, fault_named
 from deltaq_testing.faults.panel import inject
-from deltaq_testing.faults.table import run_table
 from deltaq_testing.private_cell import write_private_cell
+from studies.live_faults.run import live_table
 
 pytestmark = pytest.mark.live
 
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.live
 def test_a_frozen_gate_and_a_dead_robot_server_are_survived_by_real_processes(tmp_path):
     file = write_private_cell(tmp_path)
     faults = [fault_named("robot-server-dead"), fault_named("sim-frozen")]
-    dead, frozen = run_table(file, "fr", faults=faults, live=True).rows
+    dead, frozen = live_table(file, "fr", faults=faults).rows
     assert (frozen.good, frozen.reason, frozen.recovery) == (True, "gate_lost", "reset")
     assert frozen.motion.rest_after_s < 0.3
     assert (dead.good, dead.phase) == (True, "offline")
@@ -29,9 +29,7 @@ def test_a_frozen_gate_and_a_dead_robot_server_are_survived_by_real_processes(tm
 
 @pytest.mark.nightly
 def test_a_time_of_day_that_is_set_back_in_every_service_brakes_nobody(tmp_path):
-    (row,) = run_table(
-        write_private_cell(tmp_path), "fr", faults=[fault_named("wall-clock-back")], live=True
-    ).rows
+    (row,) = live_table(write_private_cell(tmp_path), "fr", faults=[fault_named("wall-clock-back")]).rows
     assert row.good
     assert (row.reason, row.recovery) == (None, "by itself")
 
@@ -39,7 +37,7 @@ def test_a_time_of_day_that_is_set_back_in_every_service_brakes_nobody(tmp_path)
 @pytest.mark.nightly
 def test_an_hli_whose_clock_leaps_has_the_robot_held_though_its_sessions_broke_as_it_said_so(tmp_path):
     faults = [fault_named("hli-clock-forward")]
-    (row,) = run_table(write_private_cell(tmp_path), "fr", faults=faults, live=True).rows
+    (row,) = live_table(write_private_cell(tmp_path), "fr", faults=faults).rows
     assert (row.good, row.phase, row.reason) == (True, "held", "controller_lost")
     assert row.recovery == "reset"
 
@@ -47,7 +45,7 @@ def test_an_hli_whose_clock_leaps_has_the_robot_held_though_its_sessions_broke_a
 @pytest.mark.nightly
 @pytest.mark.timeout(0)
 def test_no_fault_of_a_real_process_passes_a_limit_or_touches(tmp_path):
-    table = run_table(write_private_cell(tmp_path), "fr", faults=CATALOGUE, live=True)
+    table = live_table(write_private_cell(tmp_path), "fr", faults=CATALOGUE)
     assert [row.fault for row in table.rows if not row.good] == []
 
 

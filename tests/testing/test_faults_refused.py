@@ -5,16 +5,17 @@ import pytest
 from deltaq_cell.load import load_cell
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_testing.faults.catalogue import UnknownFaultError, fault_named
-from deltaq_testing.faults.clocks import NoCompilerError
 from deltaq_testing.faults.panel import inject
 from deltaq_testing.faults.table import run_table
 from deltaq_testing.private_cell import write_private_cell
+from studies.live_faults.clocks import NoCompilerError
+from studies.live_faults.run import live_table
 
 
 def test_clocks_cannot_be_set_without_a_compiler(tmp_path, monkeypatch):
     monkeypatch.setenv("CC", "no-such-compiler")
     with pytest.raises(NoCompilerError, match="leave out the faults of clocks"):
-        run_table(write_private_cell(tmp_path), "fr", faults=[fault_named("wall-clock-drift")], live=True)
+        live_table(write_private_cell(tmp_path), "fr", [fault_named("wall-clock-drift")])
 
 
 def test_a_fault_that_no_panel_can_inject_is_refused_before_anything_is_asked():
@@ -23,18 +24,18 @@ def test_a_fault_that_no_panel_can_inject_is_refused_before_anything_is_asked():
 
 
 @pytest.mark.parametrize(
-    ("name", "live", "way"),
+    ("name", "run", "way"),
     [
-        ("sim-slow", True, "live"),
-        ("hli-clock-back", True, "live"),
-        ("hli-sim-broken", False, "virtual"),
-        ("wall-clock-back", False, "virtual"),
-        ("krc-server-cut", False, "virtual"),
+        ("sim-slow", live_table, "live"),
+        ("hli-clock-back", live_table, "live"),
+        ("hli-sim-broken", run_table, "virtual"),
+        ("wall-clock-back", run_table, "virtual"),
+        ("krc-server-cut", run_table, "virtual"),
     ],
 )
-def test_a_fault_that_cannot_be_had_this_way_is_told(name, live, way):
+def test_a_fault_that_cannot_be_had_this_way_is_told(name, run, way):
     with pytest.raises(UnknownFaultError, match=f"can be had .*{way}"):
-        run_table("lab", "fr", faults=[fault_named(name)], live=live)
+        run("lab", "fr", faults=[fault_named(name)])
 
 
 def test_a_cell_that_is_not_up_is_told(tmp_path):

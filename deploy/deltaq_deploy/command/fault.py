@@ -272,7 +272,7 @@ def list_faults(json: JsonOption = False) -> None:
         )
         print_json({"faults": list(rows)})
         return
-    columns = ("fault", "what happens", "table", "table --live", "inject")
+    columns = ("fault", "what happens", "table", "live", "inject")
     print_table("faults", columns, ((row.name, row.what, *_ways(row)) for row in CATALOGUE))
 
 
@@ -282,17 +282,8 @@ def table(
     robot: Annotated[
         str | None, typer.Option(help="The robot that moves; by default the cell's first.")
     ] = None,
-    live: Annotated[
-        bool,
-        typer.Option(
-            "--live", help="Run over real processes, zenoh and UDP; the cell must not be up already."
-        ),
-    ] = False,
     seed: Annotated[
-        int,
-        typer.Option(
-            min=0, help="Seed of the links' faults; in virtual time the same seed gives the same run."
-        ),
+        int, typer.Option(min=0, help="Seed of the links' faults; the same seed gives the same run.")
     ] = 0,
     json: JsonOption = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print a table for a document.")] = False,
@@ -303,16 +294,14 @@ def table(
     from deltaq_testing.faults.catalogue import CATALOGUE, fault_named
 
     chosen = [fault_named(name) for name in names] if names else CATALOGUE
-    with progress_bar("faults" + (" live" if live else "")) as progress:
-        result = fault_table.run_table(cell, robot, faults=chosen, live=live, seed=seed, on_row=progress)
+    with progress_bar("faults") as progress:
+        result = fault_table.run_table(cell, robot, faults=chosen, seed=seed, on_row=progress)
     if json:
         print_json(result.model_dump(mode="json") | {"good": result.good})
     elif markdown:
         typer.echo(fault_table.markdown(result))
     else:
-        title = f"faults of {result.robot} in cell {result.cell}" + (
-            ", live" if live else ", in virtual time"
-        )
+        title = f"faults of {result.robot} in cell {result.cell}, in virtual time"
         print_table(title, fault_table.COLUMNS, map(fault_table.shown, result.rows))
     if not result.good:
         raise typer.Exit(BAD)

@@ -1,4 +1,4 @@
-"""The table of faults: produced in virtual time or live, and as people read it."""
+"""The table of faults: produced in virtual time, and as people read it."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from deltaq_testing.faults.mover import CRUISE_RAD_S
 from deltaq_testing.faults.panel import load_rsi_cell
 from deltaq_testing.faults.report import FaultEffect, FaultTable
 from deltaq_testing.faults.virtual import run_fault
+from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 
 COLUMNS = (
     "fault",
@@ -35,17 +36,15 @@ def run_table(
     robot: str | None = None,
     *,
     faults: Sequence[Fault] = CATALOGUE,
-    live: bool = False,
     seed: int = 0,
     on_row: Callable[[int, int], None] | None = None,
 ) -> FaultTable:
-    """Let one robot suffer fault after fault.
+    """Let one robot suffer fault after fault in virtual time.
 
     Args:
         cell_name: name or file of a cell whose robots are driven over RSI.
         robot: the one that moves; None for the first of the cell.
-        faults: from the catalogue; those that cannot be had this way, live or in virtual time, are left out.
-        live: over real processes, zenoh and UDP.
+        faults: from the catalogue; those that cannot be had in virtual time are left out.
         seed: of the wires' random numbers.
         on_row: called with the number of rows done and the number of all.
 
@@ -54,31 +53,27 @@ def run_table(
     """
     loaded = load_rsi_cell(cell_name, robot)
     name = robot or next(iter(loaded.model.robots))
-    chosen = [fault for fault in faults if (fault.live if live else fault.virtual)]
+    chosen = [fault for fault in faults if fault.virtual]
     if not chosen:
-        way, other = ("live", "leave out") if live else ("in virtual time", "add")
-        raise UnknownFaultError(f"none of these faults can be had {way}; {other} --live")
+        raise UnknownFaultError(
+            "none of these faults can be had in virtual time; `deltaq fault list` shows which can"
+        )
     rows: list[FaultEffect] = []
-    order = {fault.name: place for place, fault in enumerate(chosen)}
-
-    def add(row: FaultEffect) -> None:
-        rows.append(row)
+    for fault in chosen:
+        rows.append(run_fault(fault, loaded, name, seed))
         if on_row is not None:
             on_row(len(rows), len(chosen))
+    return table_of(loaded, name, rows)
 
-    if live:
-        from deltaq_testing.faults.live import run_live_faults
 
-        run_live_faults(chosen, loaded, name, add, seed)
-    else:
-        for fault in chosen:
-            add(run_fault(fault, loaded, name, seed))
+def table_of(loaded: LoadedCell, robot: str, rows: Sequence[FaultEffect]) -> FaultTable:
+    """The rows of a robot as a table."""
     return FaultTable(
         cell=loaded.model.description.cell,
-        robot=name,
+        robot=robot,
         cycle_s=loaded.model.description.cycle_s,
         cruise_rad_s=float(CRUISE_RAD_S),
-        rows=tuple(sorted(rows, key=lambda row: order[row.fault])),
+        rows=tuple(rows),
     )
 
 

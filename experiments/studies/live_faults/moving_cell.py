@@ -11,14 +11,10 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_deploy.launch.launcher import Launcher
 from deltaq_deploy.launch.services import Role, Service, cell_services, recorder
 from deltaq_emulator.faults import LinkFaults
-from deltaq_emulator.states import KrcState
-from deltaq_protocol.arrays import Array
 from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.sayings import SIM, robot_server
 from deltaq_services.guarded_realm import guarded_links
@@ -33,13 +29,14 @@ from deltaq_testing.faults.catalogue import (
     SetWallClock,
     StepClock,
 )
-from deltaq_testing.faults.clocks import SettableClocks
 from deltaq_testing.faults.panel import PanelClient
-from deltaq_testing.impairment.process import RelayProcess
 from deltaq_testing.impairment.relay import TrafficUnit
 from deltaq_testing.impairment.stream import StreamFaults
+from deltaq_testing.live_start import recorded
 from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 from deltaq_testing.virtual_cell.parts import Link, Process
+from studies.live_faults.clocks import SettableClocks
+from studies.live_faults.relay_process import RelayProcess
 
 HERE = "127.0.0.1"
 RELAY = "relay"
@@ -244,28 +241,3 @@ def moving_cell(loaded: LoadedCell, robot: str, needs: Needs, seed: int = 0) -> 
         panel = stack.enter_context(PanelClient(description, robot))
         launcher.start()
         yield MovingCell(launcher, panel, records, relay, clocks)
-
-
-def recorded(service: Service, records: dict[str, Path]) -> Service:
-    """The service, an emulated controller with the record that it is to write."""
-    if service.role is not Role.EMULATOR or service.robot is None:
-        return service
-    return replace(service, arguments=(*service.arguments, "--record", str(records[service.robot])))
-
-
-def rows_of(record: Path, from_byte: int = 0) -> Array:
-    """Whole rows of a record that is being written: cycle, q (n), setpoint (n), 1 while RSI runs.
-
-    Args:
-        record: the file.
-        from_byte: where to begin; the line there is left out, as the heading is.
-    """
-    with record.open(encoding="utf-8") as file:
-        file.seek(from_byte)
-        text = file.read()
-    lines = text[: text.rfind("\n")].splitlines()[1:]
-    rows = []
-    for line in lines:
-        cycle, _, *numbers, state = line.split(",")
-        rows.append([float(cycle), *map(float, numbers), float(state == KrcState.RSI_RUNNING)])
-    return np.array(rows)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,22 +17,33 @@ from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_testing.faults.catalogue import (
+    CATALOGUE,
     BeginInThePast,
     Fault,
     Freeze,
     Impair,
     Kill,
     PressStop,
+    UnknownFaultError,
 )
-from deltaq_testing.faults.live_cell import MovingCell, Needs, moving_cell, rows_of
-from deltaq_testing.faults.live_inject import Injector
 from deltaq_testing.faults.mover import CRUISE_RAD_S, SWING_RAD
-from deltaq_testing.faults.panel import PanelError, describe, pendant_message, recovery
-from deltaq_testing.faults.report import NEVER, FaultEffect, is_good, judged, motion_after, recovery_text
+from deltaq_testing.faults.panel import PanelError, describe, load_rsi_cell, pendant_message, recovery
+from deltaq_testing.faults.report import (
+    NEVER,
+    FaultEffect,
+    FaultTable,
+    is_good,
+    judged,
+    motion_after,
+    recovery_text,
+)
+from deltaq_testing.faults.table import table_of
 from deltaq_testing.faults.virtual import ATTEMPTS, FaultRunError
-from deltaq_testing.oracle import ClearanceOracle, record_cycle_s
+from deltaq_testing.oracle import ClearanceOracle, record_cycle_s, rows_of
 from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 from deltaq_testing.virtual_cell.parts import Process
+from studies.live_faults.injector import EveryFaultInjector
+from studies.live_faults.moving_cell import MovingCell, Needs, moving_cell
 
 CRUISE_S = 0.4
 """From the first full increments to the fault."""
@@ -49,6 +61,29 @@ _CYCLES_SEEN = 4
 """Cycles between two looks at the setpoint that are enough to tell a speed."""
 _CYCLES_MOVED = 25
 """Cycles between two looks that tell motion from the rest of a brake that was interrupted."""
+
+
+def live_table(
+    cell: str | Path, robot: str | None, faults: Sequence[Fault] = CATALOGUE, seed: int = 0
+) -> FaultTable:
+    """Let one robot suffer fault after fault; those that real processes cannot suffer are left out.
+
+    Raises:
+        UnknownFaultError: if the robot is not the cell's, or no fault is left to be run.
+    """
+    loaded = load_rsi_cell(cell, robot)
+    name = robot or next(iter(loaded.model.robots))
+    chosen = [fault for fault in faults if fault.live]
+    if not chosen:
+        raise UnknownFaultError("none of these faults can be had live; run `deltaq fault table`")
+    rows: dict[str, FaultEffect] = {}
+
+    def add(row: FaultEffect) -> None:
+        rows[row.fault] = row
+        print(f"{len(rows)} of {len(chosen)}: {row.fault}, {'good' if row.good else 'not good'}", flush=True)
+
+    run_live_faults(chosen, loaded, name, add, seed)
+    return table_of(loaded, name, [rows[fault.name] for fault in chosen])
 
 
 def run_live_faults(
@@ -104,7 +139,7 @@ class _Run:
 
     def __init__(self, running: MovingCell, loaded: LoadedCell, robot: str) -> None:
         self._launcher, self._panel, self._records = running.launcher, running.panel, running.records
-        self._injector = Injector(running, loaded, robot)
+        self._injector = EveryFaultInjector(running, loaded, robot)
         self._cell, self._robot = loaded.model, robot
         self._description = loaded.model.description
         self._cruise = float(CRUISE_RAD_S * self._description.cycle_s)
