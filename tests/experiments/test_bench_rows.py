@@ -13,12 +13,12 @@ from deltaq_experiments.bench.cornered import CorneredError, stored
 from deltaq_experiments.bench.decisions import near_obstacles
 from deltaq_experiments.bench.rsi_reply import standing_telegrams
 from deltaq_experiments.bench.table import BenchRow, BenchTable
-from deltaq_proofs import cornered
 from deltaq_protocol.codec import InvalidMessageError
 from deltaq_protocol.messages import Outcome, Verdict
 from deltaq_services.robot_server.rsi_driver import sensor_codec
 from deltaq_services.sim.core import Sim
 from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
+from studies import cornered
 
 
 @pytest.fixture(scope="module")

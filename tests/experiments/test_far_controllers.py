@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 from far_bounds import BOUNDS, FarBound, module_and_options
 
-from deltaq_proofs.two_sites import __main__ as two_sites
-from deltaq_proofs.two_sites.far_controller import FarWire
-from deltaq_proofs.two_sites.far_virtual import follow_in_virtual_time
 from deltaq_protocol.messages import Increment, StopRequest
 from deltaq_testing.virtual_cell.cell import VirtualCell
+from studies.two_sites import __main__ as two_sites
+from studies.two_sites.far_controller import FarWire
+from studies.two_sites.far_virtual import follow_in_virtual_time
 
 FAST = ["--virtual", "--duration-s", "4", "--settle-s", "2"]
 CUT_CYCLES = 167

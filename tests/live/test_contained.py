@@ -20,8 +20,8 @@ from networks import why_none
 from deltaq_cell.load import load_cell
 from deltaq_deploy.launch.compose import ADDRESS, USER, compose_document, real_time_document
 from deltaq_deploy.launch.services import RESOURCES, cell_services, console_service
-from deltaq_proofs.two_sites.packets import within
-from deltaq_proofs.two_sites.sites import ip
+from studies.two_sites.packets import within
+from studies.two_sites.sites import ip
 
 pytestmark = [
     pytest.mark.live,

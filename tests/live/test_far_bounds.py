@@ -18,12 +18,12 @@ from networks import why_none
 from deltaq_cell.cell_model import CellModel
 from deltaq_emulator.faults import LinkFaults
 from deltaq_experiments.live import trace_of
-from deltaq_proofs.two_sites.packets import packet_link
-from deltaq_proofs.two_sites.sites import sites
-from deltaq_proofs.two_sites.sites_run import DELTAQ, Running, TwoSites, two_sites
 from deltaq_protocol import topics
 from deltaq_protocol.messages import RobotState
 from deltaq_services.recorder.reader import Recording
+from studies.two_sites.packets import packet_link
+from studies.two_sites.sites import sites
+from studies.two_sites.sites_run import DELTAQ, Running, TwoSites, two_sites
 
 pytestmark = [
     pytest.mark.live,

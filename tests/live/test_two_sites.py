@@ -12,9 +12,9 @@ import pytest
 from networks import why_none
 
 from deltaq_emulator.faults import LinkFaults
-from deltaq_proofs.two_sites.packets import packet_link
-from deltaq_proofs.two_sites.sites import sites
-from deltaq_proofs.two_sites.sites_run import Running, SiteError, TwoSites, two_sites
+from studies.two_sites.packets import packet_link
+from studies.two_sites.sites import sites
+from studies.two_sites.sites_run import Running, SiteError, TwoSites, two_sites
 
 pytestmark = [
     pytest.mark.live,
@@ -97,7 +97,7 @@ def test_robots_rest_when_their_site_is_cut_off_and_go_on_by_the_documented_road
 
 @pytest.mark.nightly
 def test_measuring_that_is_told_to_end_leaves_neither_networks_nor_programs() -> None:
-    command = [sys.executable, "-m", "deltaq_proofs.two_sites", "--duration-s", "600"]
+    command = [sys.executable, "-m", "studies.two_sites", "--duration-s", "600"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as measuring:
         assert measuring.stderr is not None
         assert measuring.stderr.readline().startswith("both sites are up")

@@ -9,8 +9,8 @@ import pytest
 from identities import make
 from networks import why_none
 
-from deltaq_proofs.two_sites.sites import sites, within, write_cell
 from deltaq_protocol.certified.names import IDENTITY
+from studies.two_sites.sites import sites, within, write_cell
 
 pytestmark = [
     pytest.mark.long,

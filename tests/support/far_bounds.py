@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 _PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "two-sites.md"
-_COMMAND = re.compile(r"^python -m (deltaq_proofs\.two_sites --controller qp .*) \$LINK$", re.MULTILINE)
+_COMMAND = re.compile(r"^python -m (studies\.two_sites --controller qp .*) \$LINK$", re.MULTILINE)
 _ERRORS = r"([0-9.]+)°, ([0-9.]+)°, ([0-9.]+) cm"
 _ROW = re.compile(rf"^\| `(--delay-s [^`]*)` \| {_ERRORS} \| {_ERRORS} \|$", re.MULTILINE)
 

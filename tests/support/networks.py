@@ -7,9 +7,9 @@ import shutil
 import socket
 import subprocess
 
-from deltaq_proofs.two_sites.packets import PacketLink
-from deltaq_proofs.two_sites.sites import sites
 from deltaq_protocol.errors import DeltaqError
+from studies.two_sites.packets import PacketLink
+from studies.two_sites.sites import sites
 
 
 @functools.cache

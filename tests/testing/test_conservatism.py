@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deltaq_proofs.conservatism import Auditor, ConservatismFigures, run
 from deltaq_protocol.messages import Outcome, Reason
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_testing.virtual_cell.cell import VirtualCell
+from studies.conservatism import Auditor, ConservatismFigures, run
 
 
 class Timid:

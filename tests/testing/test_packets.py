@@ -13,8 +13,8 @@ import pytest
 from networks import why_none
 
 from deltaq_emulator.faults import LinkFaults
-from deltaq_proofs.two_sites.packets import PacketLink, PacketLinkError, within
-from deltaq_proofs.two_sites.sites import (
+from studies.two_sites.packets import PacketLink, PacketLinkError, within
+from studies.two_sites.sites import (
     CONTROLLER_ADDRESS,
     HLI_ADDRESS,
     OFFICE_ADDRESS,

@@ -12,7 +12,7 @@ from deltaq_cell.check import check_cell
 from deltaq_cell.load import load_cell
 from deltaq_deploy.launch.services import cell_services, console_service, select
 from deltaq_deploy.launch.systemd import units
-from deltaq_proofs.two_sites.sites import write_cell
+from studies.two_sites.sites import write_cell
 
 PAGE = ROOT / "docs" / "how-to" / "two-sites.md"
 

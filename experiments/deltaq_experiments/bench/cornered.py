@@ -1,6 +1,6 @@
 """Situations near obstacles in which the gate had most to do.
 
-`python -m deltaq_proofs.cornered` found them. Adversaries drive both robots of the lab cell into each other and into
+`python -m studies.cornered` found them. Adversaries drive both robots of the lab cell into each other and into
 the structure, over several seeds, and each decision is timed. Kept are the gate's memory before a decision and the
 request that it decided, of those that took longest.
 """

@@ -45,7 +45,7 @@ def test_each_program_that_a_user_starts_ends_in_this_way(file: Path) -> None:
 @pytest.mark.parametrize(
     ("command", "told"),
     [
-        (["deltaq_proofs.conservatism", "--cell", "nosuch"], "nosuch: no cell of that name"),
+        (["studies.conservatism", "--cell", "nosuch"], "nosuch: no cell of that name"),
         (["studies.directions", "--mode", "nosuch"], "invalid choice: 'nosuch'"),
         (["studies.claims", "--only", "nosuch"], "--only 'nosuch': no claim has this"),
     ],

@@ -17,14 +17,14 @@ from typing import Any, NamedTuple
 from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_cell.load import load_cell
 from deltaq_deploy.launch.child_process import Child
-from deltaq_proofs.two_sites.packets import within as thread_within
-from deltaq_proofs.two_sites.sites import Sites, within, write_cell
 from deltaq_protocol.certified.names import IDENTITY
 from deltaq_protocol.endpoint import Transport
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.given_token import CLIENT_TOKEN, OPERATOR_TOKEN
 from deltaq_protocol.sayings import HLI, services
 from deltaq_services.hli.client_roles import CONTROLLER_TOKEN
+from studies.two_sites.packets import within as thread_within
+from studies.two_sites.sites import Sites, within, write_cell
 
 DELTAQ = (sys.executable, "-c", "from deltaq_deploy.command import main; main()")
 _STARTS_WITHIN_S = 120.0

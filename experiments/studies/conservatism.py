@@ -1,6 +1,6 @@
 """How conservative the gate is: of what it scaled or held for clearance, how much would really have come too near?
 
-`python -m deltaq_proofs.conservatism` drives both robots with adversaries over perfect links, once for each seed.
+`python -m studies.conservatism` drives both robots with adversaries over perfect links, once for each seed.
 Of a sample of the decisions that clearance limited, an oracle of dense samples (an independent implementation) tells
 how much room the tube of the blend that velocity, acceleration and position would have allowed really leaves beyond the
 stop distance. Where that is less than nothing, the decision is confirmed; elsewhere it is the gate's excess. Beside it
@@ -225,4 +225,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    run_program(main, "deltaq_proofs.conservatism")
+    run_program(main, "studies.conservatism")

@@ -18,11 +18,11 @@ from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_experiments.report import Figures
 from deltaq_experiments.scene import VIEW_DISTANCE_M, camera_controller, scene_of
 from deltaq_experiments.trace import Trace
-from deltaq_proofs.two_sites.far_controller import FarController, FarWire, Watcher
-from deltaq_proofs.two_sites.sites import write_cell
 from deltaq_protocol.arrays import Array
 from deltaq_testing.oracle import GateCounts
 from deltaq_testing.virtual_cell.cell import VirtualCell
+from studies.two_sites.far_controller import FarController, FarWire, Watcher
+from studies.two_sites.sites import write_cell
 
 
 def follow_in_virtual_time(
@@ -31,7 +31,7 @@ def follow_in_virtual_time(
     """Run the cell of two sites with both controllers behind wires that are late and lossy; the figures.
 
     Args:
-        given: the options of `deltaq_proofs.two_sites`.
+        given: the options of `studies.two_sites`.
         before_cycle: called before each cycle with the cell and the wires, which it may cut.
     """
     with tempfile.TemporaryDirectory() as folder:

@@ -1,4 +1,4 @@
-"""Finds the situations near obstacles in which the gate has most to do: `python -m deltaq_proofs.cornered`.
+"""Finds the situations near obstacles in which the gate has most to do: `python -m studies.cornered`.
 
 Adversaries drive both robots of the lab cell into each other and into the structure, over several seeds, and each
 decision is timed. Of each run only some of the slowest are kept, so that the set does not show one corner alone. Others
@@ -104,4 +104,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    run_program(main, "deltaq_proofs.cornered")
+    run_program(main, "studies.cornered")

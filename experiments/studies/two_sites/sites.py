@@ -14,9 +14,9 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from deltaq_proofs.two_sites.packets import DEVICE
 from deltaq_protocol.endpoint import Transport
 from deltaq_protocol.errors import DeltaqError
+from studies.two_sites.packets import DEVICE
 
 ROBOTS_ADDRESS, OFFICE_ADDRESS = "10.77.0.1", "10.77.0.2"
 HLI_ADDRESS, CONTROLLER_ADDRESS = "10.77.1.1", "10.77.1.2"

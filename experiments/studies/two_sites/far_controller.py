@@ -1,6 +1,6 @@
 """Controllers far away in virtual time: what a link makes of messages that delays and loses packets, and who answers.
 
-`deltaq_proofs.two_sites` does the same over real processes and the kernel's own TCP.
+`studies.two_sites` does the same over real processes and the kernel's own TCP.
 """
 
 from __future__ import annotations

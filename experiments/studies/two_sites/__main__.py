@@ -1,4 +1,4 @@
-"""What the camera follower reaches on two sites: `python -m deltaq_proofs.two_sites`, as root.
+"""What the camera follower reaches on two sites: `python -m studies.two_sites`, as root.
 
 Robot Servers and gate run beside the (emulated) robots, the HLI in the office, leader and follower behind a link that
 delays and loses packets; with `--virtual` the same in virtual time. The figures are those of
@@ -21,14 +21,14 @@ from deltaq_deploy.launch.program import run_program
 from deltaq_emulator.faults import LinkFaults
 from deltaq_experiments.live import trace_of
 from deltaq_experiments.scene import scene_of
-from deltaq_proofs.two_sites.far_virtual import figures_of, follow_in_virtual_time
-from deltaq_proofs.two_sites.packets import packet_link
-from deltaq_proofs.two_sites.sites import Sites, sites
-from deltaq_proofs.two_sites.sites_run import DELTAQ, SiteError, TwoSites, two_sites
 from deltaq_protocol import topics
 from deltaq_protocol.messages import RobotState
 from deltaq_services.process import end_on_interrupt
 from deltaq_services.recorder.reader import Recording
+from studies.two_sites.far_virtual import figures_of, follow_in_virtual_time
+from studies.two_sites.packets import packet_link
+from studies.two_sites.sites import Sites, sites
+from studies.two_sites.sites_run import DELTAQ, SiteError, TwoSites, two_sites
 
 _TO_START_S = 60.0
 """Longest time that the motion to the start of a run may take."""
@@ -118,7 +118,7 @@ def _figures(
 
 def options_of(argv: Sequence[str] | None = None) -> argparse.Namespace:
     """The options of a command line; a wrong one ends the program with what is wrong."""
-    parser = argparse.ArgumentParser(prog="python -m deltaq_proofs.two_sites", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m studies.two_sites", description=__doc__)
     parser.add_argument(
         "--delay-s", type=float, default=0.04, help="of a packet, each way (default: %(default)s)"
     )
@@ -175,4 +175,4 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    run_program(main, "deltaq_proofs.two_sites")
+    run_program(main, "studies.two_sites")
