@@ -260,7 +260,8 @@ def _numbers(
 ) -> list[float]:
     """The numbers of an attribute; `default` if there is none and it may be left out.
 
-    Raises: RobotModelError: it is missing, or has another count of numbers.
+    Raises:
+        RobotModelError: it is missing, or has another count of numbers.
     """
     text = element.get(attribute)
     if text is None and default is not None:

@@ -1,4 +1,4 @@
-"""The paper's approach (VI-B, Fig. 8): three starts with a large error, the leader stands still."""
+"""The paper's approach (VI-B, Fig. 8): three starts with a large error, and a leader at rest."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def run(options: Options) -> ExperimentOutcome:
 
 
 RunViews = tuple[RunRecord, Array, SeenRun]
-"""A recording, (k, 2) view angle error [deg] and view distance [m], and what was seen."""
+"""A recording, (k, 2) view angle error [deg] and view distance [m], and the target's visibility."""
 
 
 def _run_from(options: Options, scene: Scene, error: float, seed: int) -> RunViews:

@@ -41,7 +41,7 @@ from deltaq_testing.oracle import ClearanceOracle, GateCounts
 # How hard an attack presses: in which share of the time the attacker could move as it wanted.
 
 HELD_BELOW = 0.1
-"""An attacker whose tool goes slower than this part of what it asks for is held, by the gate or by its own limits."""
+"""An attacker's tool below this part of its requested speed is held, by the gate or by its own limits."""
 
 
 class Pressing:
@@ -91,10 +91,10 @@ _SPEED_M_S = 0.5
 def attack_start(scene: Scene, camera: MeasuredView, seed: int) -> dict[str, Array]:
     """Configurations (n,) of both robots [rad or m].
 
-    The leader's tool is at a point of the box that it withdraws to, the follower's camera looks nearly at its focus.
+    The leader's tool is at a random point of its retreat box, and the follower's camera looks nearly at its focus.
 
     Args:
-        scene: who watches whom.
+        scene: the roles of the robots.
         camera: measures the view.
         seed: of both.
 
@@ -124,7 +124,7 @@ def _with_tool_at(scene: Scene, point: Array) -> Array:
     return q
 
 
-# A camera controller and a leader that no gate stops: what the controllers ask for is what the drives get.
+# A camera controller and a leader without a gate: the drives execute the controllers' increments unchanged.
 #
 # Only the limits that the controllers themselves keep are left. The drives lag as those of the emulated
 # controllers.
@@ -156,9 +156,9 @@ def record_ungated(
 
     Args:
         options: with `length_s` known.
-        scene: who watches whom; other robots of the cell stand still.
-        camera: moves the robot with the camera; it sees the others as old as the link makes them.
-        leader: moves the leader; it sees the others' newest.
+        scene: the roles of the robots; other robots of the cell are at rest.
+        camera: moves the robot with the camera; it gets the others' states delayed by the link.
+        leader: moves the leader; it gets the others' newest states.
         start: (n,) configuration of each robot that does not start at home [rad or m].
     """
     cycle_s = scene.cycle_s

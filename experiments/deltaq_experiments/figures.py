@@ -55,10 +55,10 @@ class FigurePanel:
     """One pair of axes.
 
     Attributes:
-        caption: what it shows.
+        caption: its title.
         unit: of the ordinate.
         lines: its curves.
-        marks: what is marked.
+        marks: points or times that are marked.
         bound: a horizontal line that the paper claims, None for none.
     """
 
@@ -74,7 +74,7 @@ MARK_COLOURS = ("tab:red", "tab:purple", "tab:brown")
 
 
 def draw(panels: Sequence[FigurePanel], title: str, file: str | Path) -> None:
-    """Write a picture; the ending of its name says in which format (png, pdf, svg).
+    """Write a picture; the suffix of its name selects the format (png, pdf, svg).
 
     Raises:
         DeltaqError: the file cannot be written, or its format is none.
@@ -93,7 +93,7 @@ def draw(panels: Sequence[FigurePanel], title: str, file: str | Path) -> None:
 
 
 def save(figure: Figure, file: str | Path) -> None:
-    """Write a figure that was drawn; the ending of the file's name says in which format.
+    """Write a drawn figure; the suffix of the file's name selects the format.
 
     Raises:
         DeltaqError: the file cannot be written, or its format is none.

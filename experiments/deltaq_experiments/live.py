@@ -58,11 +58,11 @@ START_S = 30.0
 def run_live(
     options: Options, scene: Scene, following: Sequence[str] = (), leading: Sequence[str] | None = ()
 ) -> RunRecord:
-    """Start the cell's services, lead and follow, and end everything again.
+    """Start the cell's services, a leader and a follower, and end all of them after the run.
 
     Args:
         options: with `length_s` known.
-        scene: who watches whom.
+        scene: the roles of the robots.
         following: further arguments of `deltaq_controllers.camera_follower`.
         leading: further arguments of `deltaq_controllers.leader`; None lets the leader stand.
 

@@ -18,19 +18,19 @@ class Options:
     Attributes:
         cell: name or file of a cell in which a robot with a camera can watch another one.
         controller: name of the camera controller, or `package.module:function` of one's own.
-        robot: the one with the camera; None for the cell's first.
-        leader: the one that is watched; None for the first other one, if there is one without a camera.
-        leader_speed_m_s: speed that the leader's tool is asked for.
-        stick_m_s2: largest acceleration that it is asked for.
-        latency_s: by how much a link delays the leader's states on their way to the camera's controller, in whole
-            cycles. It comes on top of the loop's own latency: the drives' lag and three cycles.
+        robot: the robot with the camera; None for the cell's first.
+        leader: the watched robot; None for the first other one, preferably one without a camera.
+        leader_speed_m_s: requested speed of the leader's tool.
+        stick_m_s2: largest requested acceleration of the leader's tool.
+        latency_s: delay of the leader's states on the link to the camera's controller, in whole cycles. It is added
+            to the loop's own latency: the drives' lag and three cycles.
         duration_s: length of the run; None for the experiment's own.
-        seed: one seed is one run.
-        settle_s: start-up that rms and max leave out.
+        seed: determines the run.
+        settle_s: initial time that rms and max leave out.
         live: real processes, zenoh and UDP.
-        target: the part that a collision's attacks home in on; other experiments do not use it.
-        aim_offset_m: point of the leader's tool that is looked at, in the tool's frame; a collision does not use it.
-        gated: whether a gate stops the robots; without one a collision shows what the follower alone is worth.
+        target: the target of a collision's attacks; other experiments do not use it.
+        aim_offset_m: watched point of the leader's tool, in the tool's frame; a collision does not use it.
+        gated: whether a gate stops the robots; without one a collision shows the follower alone.
         record: MCAP file to record to; of several runs in one experiment the later ones are numbered.
     """
 

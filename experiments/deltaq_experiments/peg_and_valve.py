@@ -75,7 +75,7 @@ class ModeFigures(BaseModel):
     Attributes:
         mode: the mode.
         seed: of the places of hole and valve, and of the operator.
-        undone: why the task was not done; empty if it was. The other figures are of what was done.
+        undone: why the task was not completed; empty if it was. The other figures are of the completed part.
         time_s: for the whole task.
         reach_s: for going to the hole and to the valve.
         insert_s: for putting the peg in.
@@ -189,7 +189,7 @@ def once(cell: str | Path, robot: str, mode: str, seed: int) -> ModeFigures:
 
 
 class _UndoneError(Exception):
-    """The task takes longer than anybody would wait."""
+    """The task takes too long."""
 
 
 class _Run:
@@ -280,7 +280,7 @@ class _Run:
                 raise _UndoneError(f"'{goal.name}' is not done after {LONGEST_S:g} s; limited by {limit}")
 
     def _axes(self, meant: OperatorCommand) -> Mapping[str, float]:
-        """The axes of the device that the operator has in hand, the hand's or the joints', and their greatest rates."""
+        """The axes of the operator's device, those of the hand or of the joints, and their greatest rates."""
         if not meant.rates:
             return {}
         if set(meant.rates) <= set(HAND_AXES):

@@ -37,7 +37,7 @@ class Slip(StrEnum):
 class Person:
     """One operator: slow to react, noisy, and now and then on the wrong axis or key.
 
-    What is assumed, and on whose word:
+    Assumptions and their sources:
 
     - Reaction: 0.25 s, differing by a tenth from one operator to the next (simple visual reactions take 0.2 to 0.3 s:
       Woods et al., Front. Hum. Neurosci. 9:131, 2015; the spread is an assumption).
@@ -50,7 +50,7 @@ class Person:
       consists of an action every 0.6 s. A slip is noticed, and ends, one reaction later.
 
     Attributes:
-        reaction_s: time from what is seen to what is done.
+        reaction_s: reaction time.
         noise: standard deviation of a rate, over the size of the command.
         slip: probability that an action goes wrong.
     """
@@ -67,7 +67,7 @@ class Person:
 
 
 class OperatorHand:
-    """What an operator's hand makes of what is meant.
+    """The errors of an operator's hand: noise and slips.
 
     Args:
         person: whose hand it is.
@@ -88,12 +88,12 @@ class OperatorHand:
         self.slips: Counter[Slip] = Counter()
 
     def done(self, meant: OperatorCommand, axes: Mapping[str, float], options: int) -> OperatorCommand:
-        """The command that is given where another is meant.
+        """The given command for an intended one.
 
         Args:
-            meant: what the operator means to do in this cycle.
-            axes: all that the operator may take by mistake, each with its greatest rate [m/s or rad/s].
-            options: how many options there are to be mistaken.
+            meant: the intended command of this cycle.
+            axes: axes that may be confused, each with its greatest rate [m/s or rad/s].
+            options: number of options that may be confused.
         """
         self._begin(meant, axes, options)
         self._meant = meant
@@ -141,7 +141,7 @@ class OperatorHand:
         rates = dict(meant.rates)
         taken = max(rates, key=lambda axis: abs(rates[axis]))
         other = str(self._generator.choice([axis for axis in axes if axis != taken]))
-        # the stick is pushed as far as was meant, whatever its axis moves
+        # the stick is deflected as far as intended, on either axis
         share = axes[other] / axes[taken]
         rates[taken], rates[other] = rates.get(other, 0.0) / share, rates[taken] * share
         return replace(meant, rates=rates)

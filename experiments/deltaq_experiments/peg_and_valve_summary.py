@@ -1,4 +1,4 @@
-"""The peg and the valve over some seeds: what is usual and worst, and which of the paper's conclusions it supports."""
+"""Summary of the peg and valve task over some seeds, with the paper's conclusions that it supports."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ def panels_of(recording: Recording) -> tuple[FigurePanel, ...]:
 
 
 def _scene(cell: CellModel) -> Scene | None:
-    """Who watches whom; None in a cell without a camera, or without another robot."""
+    """The roles of the robots; None in a cell without a camera, or without another robot."""
     try:
         return scene_of(cell)
     except RoleError:

@@ -32,7 +32,7 @@ class Figures(BaseModel):
 
 
 class LeastClearance(BaseModel):
-    """Least distance of bodies that an oracle measured on every recorded configuration."""
+    """Least distance of bodies, measured by the independent checker on every recorded configuration."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -46,7 +46,7 @@ class LeastClearance(BaseModel):
 
 
 class ReachedSpeed(BaseModel):
-    """Speed that the leader's tool reached after the settling time, whatever it was asked for [m/s]."""
+    """Speed that the leader's tool reached after the settling time [m/s]."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -66,7 +66,7 @@ class SeenShares(BaseModel):
     by_one_eye: float
     """Seen by one eye at least."""
     in_picture: float
-    """Within the picture of every eye, whatever stands before it."""
+    """Within the picture of every eye, hidden or not."""
     blocked_by: dict[str, float]
     """Something of this robot, or of the structure, on a line of sight."""
     bodies: dict[str, float]

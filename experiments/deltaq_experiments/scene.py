@@ -1,4 +1,4 @@
-"""Who watches whom in a camera experiment, and the camera controller that is tried on them."""
+"""The roles of the robots in a camera experiment, and its camera controller."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ LOOP_CYCLES = 3
 
 
 def load(options: Options) -> Scene:
-    """The cell of an experiment, and who watches whom in it.
+    """The cell of an experiment, and the roles of its robots.
 
     Raises:
-        DeltaqError: there is no such cell, or its robots cannot be what they are to be.
+        DeltaqError: there is no such cell, or its robots cannot take these roles.
     """
     return scene_of(CellModel.load(options.cell), options)
 
 
 def scene_of(cell: CellModel, options: Options | None = None) -> Scene:
-    """Who watches whom in a cell, by its description unless the options name them.
+    """The roles of a cell's robots, from the options or else from its description.
 
     Args:
         cell: the cell.
-        options: with the robots that were named, and the point that is looked at; None for the cell's own.
+        options: with the named robots and the watched point; None for the cell's own.
 
     Raises:
-        RoleError: a robot cannot be what it is to be.
+        RoleError: a robot cannot take its role.
     """
     options = options or Options()
     roles = camera_roles(cell.description, options.robot, options.leader)
@@ -55,13 +55,13 @@ def camera_controller(
     """The camera controller of that name, looking at a point of the leader's tool or at a fixed point.
 
     Raises:
-        DeltaqError: if there is none of that name.
+        DeltaqError: if the name is unknown.
     """
     return camera_controller_named(name, scene, distance_m, focus)
 
 
 def aim_arguments(options: Options) -> list[str]:
-    """Arguments of `deltaq_controllers.camera_follower` that say what is looked at."""
+    """Arguments of `deltaq_controllers.camera_follower` for the target."""
     if options.aim_offset_m == AIM_M:
         return []
     return ["--aim-offset-m", *(f"{part:g}" for part in options.aim_offset_m)]
@@ -110,7 +110,7 @@ def start_with_error(scene: Scene, camera: MeasuredView, error: float, seed: int
     """A configuration from which the camera misses the leader's tool at its home by a given angle.
 
     Args:
-        scene: who watches whom.
+        scene: the roles of the robots.
         camera: measures the view.
         error: the angle [rad].
         seed: of the search.

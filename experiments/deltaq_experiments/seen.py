@@ -20,16 +20,16 @@ from deltaq_experiments.virtual import RunRecord
 from deltaq_protocol.arrays import Array
 
 EVERY_S = 0.06
-"""Time between two looks: what hides a target does so for longer."""
+"""Time between two checks of visibility; bodies hide a target for longer than this."""
 
 
 @dataclass(frozen=True)
 class SeenRun:
-    """Looks at the target, one after the other.
+    """Checks of the target's visibility over a run.
 
     Attributes:
-        time_s: (k,) when.
-        looks: what was seen then.
+        time_s: (k,) times of the checks.
+        looks: their results.
     """
 
     time_s: Array
@@ -64,12 +64,12 @@ def shares_of(looks: Sequence[Visibility]) -> SeenShares:
 
 
 def seen(scene: Scene, trace: Trace, target: Callable[[Array], Array]) -> SeenRun:
-    """What the camera saw in a run.
+    """The target's visibility in a run.
 
     Args:
         scene: who watches whom.
         trace: of its robots.
-        target: (3,) point that is looked at, in the world, by the leader's configuration [m].
+        target: returns the watched point (3,) in the world from the leader's configuration [m].
     """
     gauge = VisibilityGauge(scene.cell, scene.robot_name)
     every = max(1, round(EVERY_S / scene.cycle_s))
@@ -98,8 +98,8 @@ def summary(
         recording: of the run.
         angle_deg: (k,) view angle error.
         distance_error_m: (k,) view distance less the desired one.
-        seen: what was seen of the target.
-        elapsed_s: time that it took.
+        seen: the target's visibility.
+        elapsed_s: wall time of the run.
     """
     trace = recording.trace
     settled = trace.time_s >= options.settle_s

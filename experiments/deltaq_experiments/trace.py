@@ -84,7 +84,7 @@ class Trace:
         return reached_speed(self.time_s[counted], self.points(robot)[counted])
 
     def least_clearance(self, cell: CellModel) -> LeastClearance:
-        """Measured by the oracle at every recorded time."""
+        """Least clearance, measured by the independent checker at every recorded time."""
         oracle = ClearanceOracle(cell)
         moments = [{name: q[k] for name, q in self.q.items()} for k in range(len(self.time_s))]
         nearest = min((oracle.between_robots_and_structure(m) for m in moments), key=lambda n: n.distance_m)

@@ -60,11 +60,11 @@ def panels(
     """The layout of Fig. 9.
 
     Args:
-        scene: who watches whom in what was recorded.
+        scene: the roles of the recorded robots.
         trace: of both robots.
         angle: (k,) view angle error [deg].
         distance: (k,) view distance [m].
-        marks: what is marked beside the angle.
+        marks: marked times beside the angle.
     """
     clock, p = trace.time_s, trace.points(scene.leader)
     moved = p - p[0]

@@ -1,7 +1,7 @@
 """Both robots driven by adversaries over links that lose, delay, duplicate and reorder: does the gate hold?
 
-One seed is one run. The oracle measures every cycle of both robots as the emulated controllers recorded them;
-the gate's own figures are not believed.
+One seed is one run. The independent checker measures every cycle of both robots, as recorded by the emulated
+controllers; the gate's own figures are not used.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class Adversary:
         return 3.0 * self._at_full_speed(self._aim)
 
     def _return(self, q_cmd: Array, _target_m: Array) -> Array:
-        """Back home, to start from somewhere else; a cornered robot attacks nobody."""
+        """Return home, to start elsewhere: a cornered robot cannot attack."""
         return 0.1 * (self._robot.home - q_cmd)
 
     def _at_full_speed(self, dq: Array) -> Array:

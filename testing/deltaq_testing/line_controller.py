@@ -18,7 +18,7 @@ from deltaq_testing.faults.controller import increment_of, misbehaved
 from deltaq_testing.virtual_cell.clients import Say
 
 PATIENCE_S = 10.0
-"""How long a program may take to connect, and to answer a state; virtual time stands still meanwhile."""
+"""Time for a program to connect, and to answer a state; virtual time waits for it."""
 _SHOWN = (
     "a controller in virtual time answers every state with one line, an increment or the renewal of its lease"
 )
@@ -82,10 +82,10 @@ class ControllerProcess:
                 self._connection.sendall(line)
 
     def hear(self, awaited: str) -> bytes | None:
-        """The next line, waited for; None if the program has closed its end.
+        """Wait for the next line; None if the program has closed its end.
 
         Args:
-            awaited: what it was asked for, for the error.
+            awaited: the expected message, for the error.
 
         Raises:
             ControllerProcessError: none came in time, or it does not end.
@@ -142,14 +142,14 @@ class LineController:
     Args:
         robot: that it drives.
         program: the program; it is started.
-        note: is shown all that the HLI says.
-        gone: is told when the program has closed its end.
+        note: gets all messages of the HLI.
+        gone: called when the program has closed its end.
         say: sends to the HLI.
 
     Attributes:
         robot: that it drives.
         token: of its lease; None without one.
-        misbehaviour: None while its increments go out as it says them.
+        misbehaviour: of a fault; None while its increments are sent unchanged.
     """
 
     def __init__(

@@ -38,7 +38,7 @@ _POLL_S = 0.02
 _RECORD_BYTES = 50_000_000
 """Of a record that the next test cuts short, so that hours of tests fill no disk."""
 _APPROACH = 0.2
-"""Share of what is missing to home that is asked for in a cycle: an increment or two are in flight."""
+"""Share of the remaining way home that one increment asks for: one or two are in flight."""
 _HOME_SHARE = 0.1
 """Share of the largest increment with which a robot is brought home."""
 
@@ -46,12 +46,12 @@ _HOME_SHARE = 0.1
 class LiveCell(Observed):
     """A cell of real processes, which the controller under test connects to by itself, over zenoh or a socket.
 
-    Questions about it are answered from what the emulated controllers recorded since the test began. Live runs do not
-    repeat to the cycle: ask for what holds on a busy machine too.
+    Its findings come from the emulated controllers' records since the test began. Live runs do not repeat exactly:
+    assert only what holds on a busy machine, too.
 
     Args:
-        loaded: the cell; nobody else runs it.
-        robot: the one under test.
+        loaded: the cell; no other process runs it.
+        robot: the robot under test.
         launcher: of its processes.
         panels: of each robot's emulated controller.
         records: that these write, by robot.
@@ -129,7 +129,7 @@ class LiveCell(Observed):
         """Schedule faults of the cell; times are counted from the beginning of the test.
 
         Raises:
-            ScheduleError: one cannot be had here, would have had to begin before now, or two change the same part.
+            ScheduleError: one is not possible here, begins in the past, or two change the same part.
         """
         for timed in faults:
             if not applies_live(timed.what):
@@ -157,7 +157,7 @@ class LiveCell(Observed):
         self._read()
 
     def recover(self) -> bool:
-        """Do what an operator does at the pendant, then reset; returns whether the robot may move."""
+        """Recover as an operator does at the pendant, then reset; returns whether the robot may move."""
         deadline = time.monotonic() + _BACK_S
         while time.monotonic() < deadline:
             with suppress(PanelError, RefusedError, ServiceUnreachableError):
@@ -188,7 +188,7 @@ class LiveCell(Observed):
     # --- how it is done -----------------------------------------------------------------------------------
 
     def begin(self) -> None:
-        """Begin a test: what is recorded from now on counts."""
+        """Begin a test: only records from now on count."""
         for record in self._records.values():
             if record.stat().st_size > _RECORD_BYTES:
                 os.truncate(record, 0)
@@ -221,7 +221,7 @@ class LiveCell(Observed):
                 robot.send(np.clip(_APPROACH * missing, -limits, limits).tolist())
 
     def _read(self) -> None:
-        """Read what the emulated controllers have recorded since the test began, as many cycles of each."""
+        """Read the emulated controllers' records since the test began, the same number of cycles of each."""
         rows = {name: self._rows(name) for name in self._records}
         count = min(map(len, rows.values()))
         for name, all_rows in rows.items():
@@ -247,7 +247,7 @@ class LiveCell(Observed):
 
 
 def _bring_back(panel: PanelClient) -> None:
-    """Do at the pendant what it takes, and wait for the program: one that is started again and again never runs."""
+    """Recover at the pendant, and wait for the program: if it is restarted too often, it never runs."""
     requests = recovery(panel.ask({"op": "status"})["state"])
     for request in requests:
         panel.ask(request)

@@ -1,4 +1,4 @@
-"""What came of a run, in the words of the oracle: distances, limits, rest, reasons and tracking error."""
+"""Findings about a run, by the independent checker: distances, limits, rest, reasons and tracking error."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class RunFinding:
 
     Attributes:
         good: whether the check holds.
-        told: what was measured, and what was allowed.
+        told: the measured value and its bound, in words.
     """
 
     good: bool
@@ -256,7 +256,7 @@ def _least(
 
 
 def _first_rest(steps: Array) -> int | None:
-    """Number of steps before the first rest; None if there is none."""
+    """Number of steps before the first rest; None if it never rests."""
     still = 0
     for place, step in enumerate(steps):
         still = still + 1 if step <= 2 * TELEGRAM_STEP else 0

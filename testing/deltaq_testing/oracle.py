@@ -1,8 +1,8 @@
-"""An independent oracle: how near bodies really came, and whether a limit was passed.
+"""The independent checker: measures the distances of bodies, and checks limits.
 
-It shares nothing with the gate but the bodies and the kinematics: every recorded configuration is placed as it
-is and every pair that can be nearest is measured; nothing is inflated. Limits are judged on the emulated controller's
-record of its own setpoints, not on what a service intended to send.
+It shares only bodies and kinematics with the gate: it places every recorded configuration and measures every pair
+    that can be nearest, without inflating bodies. Limits are checked on the emulated controller's record of its
+    setpoints, not on a service's intentions.
 """
 
 from __future__ import annotations
@@ -71,15 +71,15 @@ def _added(counts: Iterable[BaseModel]) -> dict[str, int]:
     return dict(together)
 
 
-# Distances of many pairs of bodies along a motion, of which only those are measured that can matter.
+# Distances of many pairs of bodies along a motion; only pairs that can be below the bound are measured.
 #
 # No point of a body moves further than the centre of a ball around it, plus the ball's radius times the
-# norm of what its rotation changes by. What a pair was measured at, less what both bodies have moved since,
-# is therefore a lower bound of its distance, and a pair whose bound is beyond what is asked for need not be
-# measured again. The bound is made of two placements and knows nothing of joints.
+# norm of what its rotation changes by. So a pair's last distance, minus the motion of both bodies since, is a lower
+# bound of its distance, and a pair whose bound is above the requested one need not be measured again. The bound is
+# made of two placements and knows nothing of joints.
 
 _INEXACT_M = 1e-5
-"""Taken off every bound: ten times what coal's iterations may be off."""
+"""Subtracted from every bound: ten times the tolerance of coal's iterations."""
 
 
 @dataclass
@@ -128,7 +128,7 @@ class PairDistances:
             self._data.oMg[place] = body.placement
         self._first, self._second = np.array(pairs, dtype=np.intp).reshape(-1, 2).T.copy()
         self._moved_m = np.zeros(self._geometry.ngeoms)
-        # what each pair was measured at, plus all that its bodies had moved by then
+        # each pair's last distance, plus its bodies' travel until then
         self._measured_m = np.full(len(pairs), -np.inf)
 
     def place(self, configurations: Mapping[str, Array]) -> None:
@@ -151,7 +151,7 @@ class PairDistances:
             self._moved_m[placed.places] += np.sqrt(np.square(shifted).sum(axis=1)) + turned * placed.radii
 
     def least(self, pairs: Indices, levels_m: Array | float = 0.0) -> tuple[float, int]:
-        """Least of the distances of some pairs, each less its level [m], and whose it is; -1 if there are none."""
+        """Least of the distances of some pairs, each minus its level [m], and its pair; -1 without pairs."""
         if not pairs.size:
             return np.inf, -1
         levels = np.broadcast_to(levels_m, pairs.shape)
@@ -169,7 +169,7 @@ class PairDistances:
         return least, nearest
 
     def below(self, limits_m: Array) -> Array:
-        """(k,) distance of every pair that is below its limit; of others what they have at least [m]."""
+        """(k,) distance of every pair that is below its limit; for others a lower bound [m]."""
         found = self._bounds(np.arange(len(self._first)))
         for pair in np.flatnonzero(found < limits_m).tolist():
             found[pair] = self._measure(pair)
@@ -210,7 +210,7 @@ def _placed(robot: RobotModel, first: int) -> _Placed:
 
 
 STRUCTURE = "structure"
-"""Owner of the bodies that stand still."""
+"""Owner of the fixed bodies."""
 
 
 @dataclass(frozen=True)
@@ -228,7 +228,7 @@ class ClearanceOracle:
         cell: the cell.
 
     Attributes:
-        stop_distances_m: (pairs,) what each pair has to keep.
+        stop_distances_m: (pairs,) stop distances [m].
     """
 
     def __init__(self, cell: CellModel) -> None:
@@ -281,7 +281,7 @@ class ClearanceOracle:
         return self._distances.least(self._all[self._numbers[frozenset(pair)], None])[0]
 
     def least_room_m(self, configurations: Mapping[str, Array], levels_m: Array) -> float:
-        """Least that a pair has beyond its level, of all pairs; infinite if there are none.
+        """Least distance beyond its level, over all pairs; infinite without pairs.
 
         Args:
             configurations: (n,) [rad or m] per robot.
@@ -295,7 +295,7 @@ class ClearanceOracle:
 
         Args:
             configurations: (n,) [rad or m] per robot.
-            limits_m: (pairs,) distances beyond which nobody asks.
+            limits_m: (pairs,) distances beyond which a bound is enough.
         """
         self._distances.place(configurations)
         return self._distances.below(limits_m)
@@ -314,9 +314,9 @@ TELEGRAM_STEP = 1e-6 * np.pi / 180
 
 
 def record_cycle_s(record: Path) -> float:
-    """The cycle of an emulated controller by its own record, whatever the cell says [s].
+    """The cycle of an emulated controller by its own record, not by the cell [s].
 
-    What its arm does in a second is judged with this one: a controller that ticks faster moves faster.
+    Rates of its arm are computed with it: a controller that ticks faster moves faster.
     """
     with record.open(encoding="utf-8") as rows:
         next(rows)

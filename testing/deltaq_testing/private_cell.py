@@ -1,4 +1,4 @@
-"""A cell on ports of its own, so that a test disturbs nobody."""
+"""A cell on ports of its own, so that tests do not disturb each other."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from deltaq_protocol.errors import DeltaqError
 
 
 class NoFreePortsError(DeltaqError):
-    """Every port that may be used is claimed by a process that runs, or the folder of the claims is somebody else's."""
+    """Running processes have claimed all ports, or the folder of the claims belongs to another user."""
 
 
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
@@ -35,10 +35,10 @@ PORTS_A_BLOCK = 200
 
 
 def free_ports(count: int) -> list[int]:
-    """Ports of the loopback that nobody listens on, neither over TCP nor over UDP.
+    """Free ports of the loopback, for TCP and UDP.
 
-    They are never among those that the system gives to a socket that asks for none, since a service which
-    connects while the cell starts would be given one of them now and then. Each process draws from a block of its own.
+    They are outside the system's range for client sockets: otherwise a service that connects while the cell starts
+    could get one of them. Each process draws from a block of its own.
     """
     return list(itertools.islice((port for port in _ports() if _is_free(port)), count))
 
@@ -47,7 +47,7 @@ def free_ports(count: int) -> list[int]:
 def _ports() -> Iterator[int]:
     """The ports of this process's block, round and round."""
     ephemeral = int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0])
-    # a system that gives all its ports to whoever asks leaves none that are safe
+    # a system whose range for client sockets has all ports leaves none that are safe
     end = max(ephemeral, 2 * FIRST_PORT) - PORTS_A_BLOCK
     for first in range(FIRST_PORT, end, PORTS_A_BLOCK):
         if _claims(first) is not None:
@@ -79,7 +79,7 @@ def _claims(first: int) -> int | None:
 
 def _is_free(port: int) -> bool:
     with socket.socket() as tcp, socket.socket(type=socket.SOCK_DGRAM) as udp:
-        # a connection that has ended lately is nobody who listens
+        # a connection that has ended lately does not listen
         tcp.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             tcp.bind(("127.0.0.1", port))

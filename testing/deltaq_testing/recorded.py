@@ -47,7 +47,7 @@ def not_there_yet(path: Path) -> Path:
 
 
 class RecordedCell(VirtualCell):
-    """A cell in virtual time that records what a recorder of a running cell would.
+    """A cell in virtual time that is recorded as a running cell is.
 
     Attributes:
         writer: of the recording, to be closed in the end.
@@ -64,7 +64,7 @@ class RecordedCell(VirtualCell):
         return round(self.now_s * 1e9)
 
     def gate_takes(self, message: Message) -> list[ToTopic]:
-        """Log what the gate is given and gives, and now and then what it remembers."""
+        """Log the gate's inputs and outputs, and now and then its state."""
         outputs = super().gate_takes(message)
         answered = [(output.topic, output.message) for output in outputs]
         self.writer.gate_took(_TAKEN[type(message)], message, answered, self.sim.taken, self.time_ns)
@@ -73,7 +73,7 @@ class RecordedCell(VirtualCell):
         return outputs
 
     def carry_out(self, outputs: list[Output]) -> None:
-        """Log what everybody may hear."""
+        """Log the public messages."""
         for output in published(outputs, Realm.OPEN):
             self.writer.publish(output.topic, output.message, self.time_ns)
         super().carry_out(outputs)

@@ -221,8 +221,8 @@ class _Run:
             else:
                 return
         if memory.epoch != sim.epoch:
-            self._last = None  # another process of the SIM, which counts anew
-        # whatever differed or is missing before, from here on the recorded state applies
+            # another process of the SIM with new counts: from here on the recorded state applies
+            self._last = None
         try:
             sim.restore(memory)
         except Exception as error:  # as above

@@ -89,7 +89,7 @@ def inlined(figure: Figure, title: str) -> str:
 
     Args:
         figure: drawn with `COLOURS` under `settings`.
-        title: what a screen reader says; escaped already.
+        title: text for screen readers; escaped already.
     """
     text = io.StringIO()
     figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})

@@ -26,7 +26,7 @@ from deltaq_testing.faults.catalogue import (
 from deltaq_testing.virtual_cell.parts import Link, Process
 
 FOR_S = 0.5
-"""How long a fault stands if nothing else is said."""
+"""Default duration of a fault [s]."""
 
 
 class ScheduleError(DeltaqError):
@@ -40,7 +40,7 @@ class TimedFault:
     Attributes:
         what: a row of the catalogue.
         at_s: when it begins [s] after the controller was connected.
-        for_s: how long it stands [s]; of no meaning where it is over at once, as a stop is.
+        for_s: its duration [s]; without meaning for an instantaneous fault such as a stop.
     """
 
     what: Fault
@@ -86,7 +86,7 @@ class TimedFault:
 
 
 VIRTUAL = tuple(row for row in CATALOGUE if row.virtual)
-"""The faults that can be had in virtual time."""
+"""The faults that are possible in virtual time."""
 
 
 def fault(name: str, *, at_s: float, for_s: float = FOR_S) -> TimedFault:
@@ -121,14 +121,14 @@ def clash(faults: Iterable[TimedFault]) -> tuple[TimedFault, TimedFault] | None:
 
 
 def checked(faults: Sequence[TimedFault], now_s: float = 0.0) -> tuple[TimedFault, ...]:
-    """The same in the order of their times.
+    """The faults in the order of their times.
 
     Args:
         faults: to inject.
-        now_s: what the time is already [s].
+        now_s: present time [s].
 
     Raises:
-        ScheduleError: one would have had to begin before now, or two change the same part at the same time.
+        ScheduleError: one begins in the past, or two change the same part at the same time.
     """
     for timed in faults:
         if timed.at_s < now_s:

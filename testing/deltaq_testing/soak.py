@@ -46,13 +46,13 @@ class SoakSample(BaseModel):
 
 
 class SoakRound(BaseModel):
-    """A fault, and what came of it.
+    """A fault and its effect.
 
     Attributes:
         time_s: when the round began.
         recovered: whether the robots could move again.
-        clear, limits: what the oracle found.
-        good: whether everything was as it should be.
+        clear, limits: findings of the independent checker.
+        good: whether all checks passed.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -68,7 +68,7 @@ class SoakRound(BaseModel):
 
 
 class SoakReport(BaseModel):
-    """The whole of it, or as far as it got: `interrupted` says that somebody ended it."""
+    """The report of a soak; `interrupted` if Ctrl-C ended it early."""
 
     cell: str
     robot: str
@@ -93,12 +93,12 @@ def run_soak(
     seed: int,
     on_round: Callable[[SoakRound], None] = lambda _: None,
 ) -> SoakReport:
-    """Let a moving robot suffer fault after fault; Ctrl-C ends it, and what it returns goes as far as it got.
+    """Inject fault after fault while a robot moves; Ctrl-C ends it with the report so far.
 
     Args:
         folder: for the files of the cell.
         cell: name or file of a cell whose robots are driven over RSI.
-        robot: the one that moves; None for the first.
+        robot: the moving robot; None for the first.
         duration_s: no round begins later [s].
         seed: of the faults and their times.
         on_round: called after each round.

@@ -22,18 +22,18 @@ def schedules(
 ) -> st.SearchStrategy[tuple[TimedFault, ...]]:
     """Schedules of faults, of which no two change the same part of the cell at the same time.
 
-    What is drawn shrinks towards fewer faults, those that stand first in `names` or in the catalogue, that begin
-    sooner, and that stand less long.
+    Schedules shrink towards fewer faults, faults that come first in `names` or in the catalogue, earlier begins, and
+    shorter durations.
 
     Args:
         within_s: by when every fault has ended [s].
         names: faults to draw from; None for all that virtual time has.
         most: faults of a schedule.
-        longest_s: how long one stands at most [s].
+        longest_s: greatest duration of a fault [s].
 
     Raises:
         UnknownFaultError: there is no fault of a name.
-        ScheduleError: a bound leaves nothing to draw, or a fault cannot be had in virtual time.
+        ScheduleError: a bound leaves nothing to draw, or a fault is not possible in virtual time.
     """
     if most < 1:
         raise ScheduleError(f"most must be 1 or more, got {most}")
@@ -48,7 +48,7 @@ def schedules(
     cycles = _cycles(within_s)
 
     def timed(what: Fault, length: int, begin: int) -> TimedFault:
-        # whatever is drawn ends in time, so that nothing has to be thrown away
+        # every draw ends in time, so that none has to be discarded
         return TimedFault(what, min(begin, cycles - length) * GRID_S, length * GRID_S)
 
     one = st.builds(timed, st.sampled_from(rows), st.integers(1, longest), st.integers(0, cycles - 1))
@@ -61,5 +61,5 @@ def in_order(faults: Iterable[TimedFault]) -> tuple[TimedFault, ...]:
 
 
 def _cycles(duration_s: float) -> int:
-    """Whole cycles within a time, whatever its last bit says."""
+    """Whole cycles within a time, up to rounding."""
     return int(duration_s / GRID_S + 1e-6)

@@ -120,7 +120,7 @@ class CellUnderTest(Observed):
             robot: None for the one under test, which suffers the faults; another one has perfect links.
 
         Raises:
-            CellUseError: the robot is driven already, or there is none of that name.
+            CellUseError: the robot is driven already, or there is no robot of that name.
         """
         name = self._free(robot)
         states = self._stack.states
@@ -184,7 +184,7 @@ class CellUnderTest(Observed):
         """Run the cell for a duration; an error of a controller is raised here.
 
         Raises:
-            CellUseError: nobody drives the robot under test.
+            CellUseError: no controller drives the robot under test.
         """
         if self._injector is None:
             raise CellUseError(f"nobody drives {self.robot}: call drive(controller) before run")
@@ -194,7 +194,7 @@ class CellUnderTest(Observed):
             self._cycle()
 
     def recover(self) -> bool:
-        """Do what an operator does at the KRC's pendant, then reset; returns whether the robot may move."""
+        """Recover as an operator does at the KRC's pendant, then reset; returns whether the robot may move."""
         if self._injector is None:
             raise CellUseError(f"nobody drives {self.robot}: call drive(controller) before recover")
         for _ in range(_ATTEMPTS):

@@ -130,7 +130,7 @@ def advice(request: AdviceRequest, go_on: Callable[[Progress], bool] = lambda _:
     Raises:
         AdvisorError: a task that it cannot work on, or an option that does not exist or has no path.
         ServiceUnreachableError: the cell is not running, and `offline` was not given.
-        RefusedError: the robot is leased to somebody else.
+        RefusedError: another client holds the robot's lease.
     """
     cell = CellModel.load(request.cell) if request.url is None else _running_model(request.url)
     known_robot(cell.description, request.robot)
@@ -180,7 +180,7 @@ def advice(request: AdviceRequest, go_on: Callable[[Progress], bool] = lambda _:
 
 
 def _running_model(url: str) -> CellModel:
-    """The model of the cell that runs at an address, from what its HLI says."""
+    """The model of the cell that runs at an address, from its HLI's description."""
     where = Where.of("", url)
     told = describe(where, "deltaq advise")
     model = cell_model(told)
@@ -200,7 +200,7 @@ def _robot(cell: CellModel, name: str) -> tuple[str, ConstraintTracker]:
 
 
 def _present(running: BlockingCell) -> dict[str, Array]:
-    """Setpoints of the robots of a running cell, once each has been heard."""
+    """Setpoints of the robots of a running cell, after the first state of each."""
     deadline_s = time.monotonic() + STATE_DEADLINE_S
     while True:
         status = running.status().robots

@@ -55,7 +55,7 @@ class Verbs(TyperGroup):
         """Run a verb.
 
         Raises:
-            typer.BadParameter: an option is not what it may be.
+            typer.BadParameter: an option has an invalid value.
         """
         try:
             return super().invoke(ctx)
@@ -84,7 +84,7 @@ class Verb(NamedTuple):
 
     Attributes:
         name: as it is typed; a verb of a group has the group's name before its own.
-        does: what runs it; for a group its help text, or what runs it where no verb follows.
+        does: the function that runs it; for a group its help text, or the function for the group alone.
         examples: two complete commands, for the end of its help.
     """
 

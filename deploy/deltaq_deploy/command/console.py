@@ -79,7 +79,7 @@ def prefixed_log(target: Console, names: Iterable[str]) -> Callable[[str, str], 
 
 
 def json_log(services: Iterable[Service]) -> Callable[[str, str], None]:
-    """A function that prints a service's line as JSON: as it is, or around what somebody else's code printed."""
+    """A function that prints a service's line as JSON: unchanged, or inside an object if it is text."""
     from deltaq_protocol.log import json_line, read_json_line
 
     known = {service.name: service for service in services}
@@ -124,7 +124,7 @@ TOLD_EVERY_S = 10.0
 
 @contextmanager
 def progress_bar(text: str) -> Iterator[Callable[[int, int], None]]:
-    """A bar that is moved by calling what it yields with the steps done and the steps in all.
+    """A progress bar; it yields a function that takes the steps done and the steps in all.
 
     Until the first call it shows activity and elapsed time; without a terminal, nothing.
     """
@@ -143,7 +143,7 @@ def progress_bar(text: str) -> Iterator[Callable[[int, int], None]]:
 
 @contextmanager
 def shown_compiled_ahead(needed: Needed) -> Iterator[None]:
-    """Compile what is needed before the block; standard error shows a line, and what is compiled now.
+    """Compile what the block needs before it begins; standard error shows the progress.
 
     Raises:
         LaunchError: if they cannot be compiled.

@@ -120,7 +120,7 @@ def _follow(
 def _wait(
     launcher: Launcher, duration_s: float, output: Console, on_settled: Callable[[], None]
 ) -> list[str]:
-    """Show progress until the time is over, a service ends or a signal comes; returns what went wrong.
+    """Show progress until the time is over, a service ends or a signal comes; returns the problems.
 
     `on_settled` is called once, when the controllers have begun.
     """
@@ -159,7 +159,7 @@ def _wait(
 def admission_rate(before: RobotStatus, after: RobotStatus) -> float | None:
     """Share of a robot's cycles between two statuses in which a fresh, admitted increment reached it.
 
-    None if there was no cycle, or its Robot Server began anew in between.
+    None if there was no cycle, or its Robot Server was restarted in between.
     """
     cycles = after.cycle - before.cycle
     admissions = after.counters.get("admissions", 0) - before.counters.get("admissions", 0)

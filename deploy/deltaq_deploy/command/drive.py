@@ -136,7 +136,7 @@ def _check(mode: str, frame: str, device: str, is_scripted: bool) -> None:
 
 @dataclass(frozen=True)
 class _Advised:
-    """By what the advisor's options are chosen."""
+    """How the advisor chooses options."""
 
     weights: dict[str, float] | None
     trade_off: tuple[str, str] | None

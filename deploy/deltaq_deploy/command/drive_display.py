@@ -36,10 +36,10 @@ def summary(
 
     Args:
         robot: name of the robot.
-        log: what was driven.
+        log: the stretches of the drive.
         statistics: counts of the verdicts.
-        signals: what was switched.
-        error: what ended the drive; None if it was ended as commanded.
+        signals: the switched outputs.
+        error: the error that ended the drive; None if it ended as commanded.
     """
     return {
         "robot": robot,
@@ -100,14 +100,15 @@ _BAR = 10
 
 
 class Display:
-    """Shows the mode, what limits it, and the advisor's options as they become known.
+    """Shows the mode, its limiting factor, and the advisor's options as they become known.
 
-    On a terminal the state stays in one line, behind a bar of how much goes through; otherwise there is a line for each
+    On a terminal the state stays in one line, behind a bar of the executed fraction; otherwise there is a line for
+    each
     change.
 
     Args:
         teleoperator: of the robot.
-        operator: where the commands come from.
+        operator: source of the commands.
         signals: outputs and inputs of the robot.
     """
 
@@ -161,7 +162,7 @@ class Display:
 
 
 def bar(share: float) -> str:
-    """The share of what is asked for that goes through, as a bar: short is near to being stopped."""
+    """The executed fraction of the command, as a bar: short means nearly stopped."""
     full = round(_BAR * share)
     return f"[{'#' * full}{'.' * (_BAR - full)}]"
 

@@ -60,7 +60,8 @@ def keys(
 ) -> None:
     """Make an authority for a cell, and an identity for each of its services, operators and controllers.
 
-    Each identity is a folder for the machine that needs it. The command makes what is missing, and writes nothing over.
+    Each identity is a folder for the machine that needs it. The command makes missing identities, and overwrites
+    nothing.
     """
     if secret:
         _make_secret(output, keep)
@@ -145,7 +146,7 @@ def _show_never_checked(report: CheckReport) -> None:
 
 
 def _with_identity(report: CheckReport) -> CheckReport:
-    """The same with what is wrong with the identity that the environment names."""
+    """The same findings, with the faults of the identity that the environment names."""
     import os
     from dataclasses import replace
 

@@ -304,7 +304,7 @@ def view(
     token: TokenOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Change what a robot's camera looks at, while a controller follows."""
+    """Change the target of a robot's camera, while a controller follows."""
     targets = [_target(text) for text in target] if target else None
     if all(wish is None for wish in (distance_m, leader, aim_offset_m, focus_m, targets)):
         raise typer.BadParameter(
@@ -320,14 +320,14 @@ def show_view(
     token: TokenOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Show what a robot's camera looks at, and how well it sees it."""
+    """Show the target of a robot's camera, and how well the camera sees it."""
     _tell_view(robot, cell, url, token, json)
 
 
 def _tell_view(
     robot: str | None, cell: str, url: str | None, token: str | None, json: bool, *wishes: Any
 ) -> None:
-    """Ask for a view if one is wished for, and print the present one."""
+    """Request a view if one is given, and print the present one."""
     from deltaq_cell.load import parse_cell
     from deltaq_cell.roles import first_camera
     from deltaq_deploy.command.console import print_json
@@ -345,7 +345,7 @@ def _tell_view(
 
 
 def _target(text: str) -> ViewTarget:
-    """A target as it is written on the command line.
+    """A target, from its form on the command line.
 
     Raises:
         typer.BadParameter: it is none.
@@ -381,7 +381,7 @@ def _wished(view: ViewWish) -> str:
 
 
 def _followed(told: ViewReply) -> str:
-    """Who follows, what the camera looks at now, and how well it sees it."""
+    """The follower, its camera's target, and how well the camera sees it."""
     if not told.holder:
         return "nobody has the robot: the next who follows looks there"
     if told.target is None:

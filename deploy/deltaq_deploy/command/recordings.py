@@ -22,7 +22,7 @@ def record(
     ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Record a running cell: what controllers see, and every input and output of the gate."""
+    """Record a running cell: states and verdicts, and every input and output of the gate."""
     import contextlib
     import signal
 

@@ -47,7 +47,7 @@ def loaded(named: str) -> Controller:
     """The controller that `FILE.py:NAME` names.
 
     Raises:
-        typer.BadParameter: there is no such file or name in it, or what it names has no method `increment`.
+        typer.BadParameter: there is no such file or name in it, or the object has no method `increment`.
     """
     path, colon, name = named.rpartition(":")
     file = Path(path)
@@ -59,7 +59,7 @@ def loaded(named: str) -> Controller:
     assert spec is not None  # of a file that ends in .py there is one
     assert spec.loader is not None
     module = module_from_spec(spec)
-    sys.path.insert(0, str(file.resolve().parent))  # as `python FILE.py` does, for what it imports
+    sys.path.insert(0, str(file.resolve().parent))  # as `python FILE.py` does, for its imports
     spec.loader.exec_module(module)
     found: Any = getattr(module, name, None)
     if found is None:

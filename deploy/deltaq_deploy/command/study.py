@@ -155,7 +155,7 @@ def experiment(
 
 
 def _told(report: dict[str, Any], shown: dict[str, Any], json: bool) -> None:
-    """Print a report as JSON, or what of it is shown as a table."""
+    """Print a report as JSON, or a part of it as a table."""
     from deltaq_deploy.command.console import print_json
 
     if json:

@@ -61,7 +61,7 @@ def up(
     os.environ[FORMAT] = chosen  # the services inherit it
     description = load_cell(cell)
     audit_file, why_none = (None, "") if no_audit else audit_file_of(audit, description.cell)
-    os.environ.pop(AUDIT_FILE, None)  # the HLI is told by its arguments, or not at all
+    os.environ.pop(AUDIT_FILE, None)  # the HLI gets it by its arguments, or not at all
     wanted = [name.strip() for name in only.split(",")] if only else []
     services = _services(
         description, cell, real, str(audit_file or ""), record, recordings, with_console, wanted
@@ -97,7 +97,7 @@ def _services(
     with_console: bool,
     only: Sequence[str],
 ) -> tuple[Service, ...]:
-    """What is started, in its order; a console says which robots are emulated by what is started beside it."""
+    """The services to start, in their order; the console derives from them which robots are emulated."""
     from deltaq_deploy.launch.services import (
         Role,
         cell_services,
@@ -137,7 +137,7 @@ def _refuse_unsafe(description: CellDescription, cell: str, services: Sequence[S
 
 
 def audit_file_of(wanted: str, cell: str) -> tuple[Path | None, str]:
-    """The file of the audit log, or why there is none: nobody shall be kept from a cell by a folder of logs."""
+    """The file of the audit log, or why there is none: a cell starts also without a folder for logs."""
     from deltaq_services.hli.audit import AuditFileError, default_audit_file
 
     if wanted:
@@ -149,7 +149,7 @@ def audit_file_of(wanted: str, cell: str) -> tuple[Path | None, str]:
 
 
 def tell_of_console(launcher: Launcher, wanted: bool) -> str | None:
-    """Say where the console is, or why there is none; returns what opens it in this machine's browser."""
+    """Say where the console is, or why there is none; returns its address for this machine's browser."""
     for service in launcher.services:
         if service.name == "console" and service.name in launcher.ready and service.endpoint is not None:
             token = launcher.console_token

@@ -253,7 +253,7 @@ def audit(
     ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Show who did what: leases, stops, resets, outputs, contacts, and every refused attempt."""
+    """Show the audit log: leases, stops, resets, outputs, contacts and refused attempts, by client."""
     from deltaq_cell.load import load_cell
     from deltaq_deploy.command.console import console, print_table
     from deltaq_protocol.errors import DeltaqError
@@ -283,7 +283,7 @@ def audit(
 
 
 def _entries(path: Path, torn: list[int]) -> Iterator[AuditEntry]:
-    """The entries of one file, oldest first; `torn` counts lines that are none."""
+    """The entries of one file, oldest first; `torn` counts lines that are not entries."""
     from pydantic import ValidationError
 
     from deltaq_protocol.audit import AuditEntry

@@ -1,7 +1,7 @@
 """Contexts of RSI 3 as its two files: `.rsi.xml`, which the controller runs, and `.rsi`, which RSI Visual edits.
 
-RSI 4 and later have one `.rsix`, which RSI Visual fills with its own catalogue of objects and nobody is known to have
-written by hand: for those there is a list to build it from.
+RSI 4 and later have one `.rsix`, which RSI Visual fills with its own catalogue of objects; no hand-written one is
+known, so for those there is a list to build it from.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ from deltaq_protocol.rsi.axes import ARM_AXES, EXTERNAL_AXES
 # The objects of an RSI context, their links and parameters, from the plan.
 #
 # Types, numbers, ports and parameter names are those of contexts that RSI Visual wrote for RSI 3 (AXISCORR,
-# AXISCORRMON, ETHERNET and STOP have moved a KR 16 there; AXISCORREXT has been tried by nobody whose report
-# we know).
+# AXISCORRMON, ETHERNET and STOP have moved a KR 16 there; no report of a trial of AXISCORREXT is known).
 
 ETHERNET = "ETHERNET1"
 UNCORRECTED = 6.0

@@ -138,14 +138,14 @@ def _checked(variable: str, call: str, good: str, what: str) -> str:
     return f"{variable} = {call} ; {what}\nIF ({variable} <> {good}) THEN\n  HALT\nENDIF\n"
 
 
-# The `*_ethernet.xml`: what is on the wire. Emulator and Robot Server load the very same file.
+# The `*_ethernet.xml`: the layout of telegrams. Emulator and Robot Server load the same file.
 
 
 def ethernet_xml(plan: KrcPlan) -> str:
     """The text of the `*_ethernet.xml`.
 
     Raises:
-        EthernetConfigError: a TAG or the address of the cell is none that such a file can have.
+        EthernetConfigError: such a file cannot have a TAG or the address of the cell.
     """
     internal = ["DEF_RIst", "DEF_AIPos", "DEF_ASPos"]
     if plan.external:

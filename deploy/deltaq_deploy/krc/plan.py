@@ -21,7 +21,9 @@ PRECISION = 4
 TIMEOUT_CYCLES = 100
 """Replies that may come late before RSI stops, as published contexts have it; the maker's default is 10."""
 MONITOR_MARGIN = 1.0
-"""By how much the monitor lies above the correction limit [deg or mm]: what is clipped must not stop RSI as well."""
+"""Distance of the monitor's bound from the correction limit [deg or mm]: a clipped correction must not stop RSI as
+well.
+"""
 LONGEST_NAME = 24
 """Characters of a name in KRL."""
 

@@ -34,11 +34,9 @@ def bring_to_rest(cell: CellDescription, client: str) -> None:
         ServiceUnreachableError: if the HLI does not answer, or a robot is not at rest within `TIMEOUT_S`.
     """
     deadline = time.monotonic() + TIMEOUT_S
-    # whatever description it has read: a stop is for everybody
+    # without comparing descriptions of the cell: any client may stop
     with connect(Where(cell.hli, cell.cell), client) as running:
-        with suppress(
-            RefusedError
-        ):  # not confirmed: what is asked for stands, and what comes of it is seen below
+        with suppress(RefusedError):  # not confirmed: the stop was sent, and its effect is checked below
             running.stop()
         before: dict[str, RobotStatus] = {}
         while True:
@@ -70,14 +68,15 @@ def stop_over_a_line(cell: CellDescription, environment: Mapping[str, str] = os.
 
     Args:
         cell: the cell.
-        environment: may name the certificate of the HLI, see `line_encryption`. Then only the answer of who has it
-            counts. Whoever listens there is told to stop in any case, in the clear: an HLI obeys that where lines are
-            encrypted, too, and before it agrees on an encryption with anybody.
+        environment: may name the certificate of the HLI, see `line_encryption`. Then only an answer with that
+            certificate counts. The stop is also sent in the clear: an HLI obeys it also where lines are encrypted,
+            before any TLS handshake.
 
     Raises:
-        RefusedError: `unreachable`, if not all have shown in time that they are held; they were told all the same.
-        LineEncryptionError: the certificate cannot be read, or is not that of who listens there.
-        ServiceUnreachableError: nobody listens there, or no answer came in time.
+        RefusedError: `unreachable`, if not all have shown in time that they are held; the stop was sent all the
+            same.
+        LineEncryptionError: the certificate cannot be read, or the server has another one.
+        ServiceUnreachableError: no server listens there, or no answer came in time.
     """
     certificate = environment.get(CERTIFICATE_FILE)
     if not certificate:
@@ -92,7 +91,7 @@ def stop_over_a_line(cell: CellDescription, environment: Mapping[str, str] = os.
 
 @contextmanager
 def _told_ahead(cell: CellDescription) -> Iterator[None]:
-    """Within the block a stop is under way in the clear; who answers it is not known."""
+    """Within the block a stop is sent in the clear; its answer is not authenticated."""
     with ExitStack() as opened:
         with suppress(OSError):
             line = opened.enter_context(_connected(cell))
@@ -101,7 +100,7 @@ def _told_ahead(cell: CellDescription) -> Iterator[None]:
 
 
 def _stopped(cell: CellDescription, certificate: str | None = None) -> Done:
-    """Stop in the clear, or over an encrypted line of who has that certificate."""
+    """Stop in the clear, or over an encrypted line to the server with that certificate."""
     place = f"{cell.tcp_address}:{cell.tcp_port}"
     try:
         with _connected(cell) as connection:
@@ -112,7 +111,7 @@ def _stopped(cell: CellDescription, certificate: str | None = None) -> Done:
     except ssl.SSLCertVerificationError as error:
         text = f"who listens on {place} was told to stop, but has not the certificate {certificate}"
         raise LineEncryptionError(text) from error
-    except (OSError, ValueError) as error:  # who speaks TLS may say so, which is no answer in the clear
+    except (OSError, ValueError) as error:  # a TLS server may answer with TLS bytes, which is no answer
         raise ServiceUnreachableError(f"no stop over {place}: {error}") from error
 
 
@@ -123,7 +122,7 @@ def _connected(cell: CellDescription) -> socket.socket:
 def _encryption(certificate: str) -> ssl.SSLContext:
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = False  # the certificate itself is known
-    context.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN  # whoever signed it
+    context.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN  # by any issuer
     try:
         context.load_verify_locations(certificate)
     except OSError as error:

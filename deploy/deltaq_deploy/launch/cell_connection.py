@@ -1,4 +1,4 @@
-"""A running cell: questions to its HLI, and what it publishes."""
+"""A running cell: queries to its HLI, and its streams."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ class OtherCellError(DeltaqError):
 
 @dataclass(frozen=True)
 class Where:
-    """Where a running cell is to be found.
+    """The address of a running cell.
 
     Attributes:
         hli: address of its HLI.
-        cell: the name that it must have; None: whatever runs there.
+        cell: the name that it must have; None: any cell.
     """
 
     hli: str
@@ -41,12 +41,12 @@ class Where:
 
     @classmethod
     def of(cls, cell: str, url: str | None, robot: str = "") -> Where:
-        """From what a user typed; `cell` is not looked for where an address was given.
+        """From a user's options; `cell` is ignored if an address is given.
 
         Args:
             cell: name of a shipped cell or path of a file.
             url: address of the HLI, or None.
-            robot: a robot that it must have, as far as that can be known before anybody was asked.
+            robot: a robot that it must have; checked only if `cell` is a file.
 
         Raises:
             InvalidEndpointError: `url` is no address.
@@ -107,7 +107,7 @@ def _compare(cell: CellDescription, running: Description) -> None:
 
 
 class Listener:
-    """Subscriptions to what an HLI publishes; see `listen`."""
+    """Subscriptions to an HLI's streams; see `listen`."""
 
     def __init__(self, session: Any, cell: str) -> None:
         self._session = session
@@ -131,7 +131,7 @@ def describe(where: Where, client: str) -> Description:
 
 
 def described(cell: str, url: str | None, client: str) -> CellDescription:
-    """The description of a cell: of its file, or, where an address is given, of what runs there.
+    """The description of a cell: from its file, or, if an address is given, from the HLI there.
 
     Raises:
         CellError: the file cannot be read.

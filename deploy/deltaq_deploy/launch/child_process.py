@@ -45,10 +45,10 @@ class Exited:
 
 
 class Lifeline:
-    """A pipe to one process, which the kernel sends SIGTERM once nobody holds the writing end any more.
+    """A pipe to one process: the kernel sends it SIGTERM once no process holds the writing end.
 
     Attributes:
-        writer: the writing end; the launcher has it, its warden, and whichever services the process shall outlive.
+        writer: the writing end; held by the launcher, its warden, and all services that must end before the process.
     """
 
     def __init__(self) -> None:
@@ -71,11 +71,11 @@ def start_with_lines(
     environment: Mapping[str, str] | None = None,
     pass_fds: Sequence[int] = (),
 ) -> subprocess.Popen[str]:
-    """Start a process in a session of its own, whose output can be read line by line as it comes.
+    """Start a process in a session of its own; its output can be read line by line.
 
     Args:
         command: program and arguments.
-        environment: what its environment has besides this process's own.
+        environment: variables in addition to this process's own.
         pass_fds: descriptors that it inherits.
     """
     return subprocess.Popen(
@@ -114,12 +114,12 @@ class Child:
         Args:
             name: of the service.
             command: program and arguments.
-            on_event: called from a thread of this child when it serves and when it has ended.
-            on_line: called from a thread of this child with its name and each line of its output.
-            environment: what its environment has besides this process's own.
-            is_ordinary: it does not run ahead of ordinary programs.
+            on_event: called from a thread of this object when the child serves and when it has ended.
+            on_line: called from a thread of this object with the child's name and each line of its output.
+            environment: variables in addition to this process's own.
+            is_ordinary: whether it runs at ordinary priority.
             lifeline: its own, closed when it has ended.
-            outlived_by: lifelines of others that it holds, too, while it runs.
+            outlived_by: lifelines of children that must end after it.
         """
         self.lifeline = lifeline or Lifeline()
         self.name = name
@@ -155,7 +155,7 @@ class Child:
         return 0.0
 
     def stop(self, grace_s: float) -> bool:
-        """Ask it to end, and kill whatever is left of its process group after `grace_s`.
+        """Ask it to end, and kill the rest of its process group after `grace_s`.
 
         Returns:
             Whether it ended by itself within the grace.
@@ -193,11 +193,11 @@ class Child:
 
 
 async def while_parent_lives(work: Coroutine[Any, Any, None]) -> None:
-    """Do this work, and cancel it at SIGTERM, or if the process that started this one ends.
+    """Await this work, and cancel it at SIGTERM, or if the parent process ends.
 
-    A process descriptor shows that it has ended: unlike the parent-death signal, this does not depend on
-    the thread that started this process. The signal is the loop's to handle: a handler that raises would now and
-    then do so inside a callback of asyncio's, and what waits for that callback would wait for ever.
+    A process descriptor shows the parent's end: unlike the parent-death signal, this does not depend on the thread
+    that started this process. The loop handles the signal: a handler that raises could do so inside a callback of
+    asyncio, and a task that waits for that callback would wait for ever.
     """
     parent = os.pidfd_open(os.getppid())
     loop, task = asyncio.get_running_loop(), asyncio.ensure_future(work)

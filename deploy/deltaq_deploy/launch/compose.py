@@ -1,6 +1,6 @@
-"""Writes `deploy/compose.yaml` and what may be put on it from the table of services: `make docs`.
+"""Writes `deploy/compose.yaml` and its overlays from the table of services: `make docs`.
 
-`python -m deltaq_deploy.launch.compose CELL` prints the file of another cell, by its name or path, with all in one.
+`python -m deltaq_deploy.launch.compose CELL` prints the file of another cell, by its name or path, in one file.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ from deltaq_services.hli.line_encryption import CERTIFICATE_FILE, KEY_FILE
 from deltaq_services.process import AUDIT_FILE
 
 USER = 10001
-"""Of every container, and of nobody on the host: the image has it as `deltaq`."""
+"""User of every container, with no counterpart on the host; in the image its name is `deltaq`."""
 _TMP_MB = 128
 _HEALTH = "/tmp/health"
 
 HARDENED: dict[str, Any] = {
     "image": "deltaq",
-    "pull_policy": "never",  # nobody else's image of that name
+    "pull_policy": "never",  # never an image of that name from a registry
     "user": f"{USER}:{USER}",
     "read_only": True,
     "cap_drop": ["ALL"],
@@ -82,7 +82,8 @@ def container(service: Service, cell_name: str) -> dict[str, Any]:
         found["environment"][HEALTH_FILE] = _HEALTH
         found["healthcheck"] = {
             "test": ["CMD", "healthy", _HEALTH],
-            # what waits for a healthy service waits for the next look: engines before 25 know no start_interval
+            # a container that depends on a healthy one waits for the next check: engines before 25 have no
+            # start_interval
             "interval": "5s",
             "timeout": "5s",
             "retries": 3,
@@ -243,7 +244,7 @@ def _services(cell: CellDescription, cell_name: str) -> tuple[Service, ...]:
 
 
 def _give(one: dict[str, Any], given: dict[str, Any], *variables: str) -> None:
-    """Give a container secrets, each in a file that the variable names: inside, and outside for who starts compose."""
+    """Give a container secrets, each in a file that the variable names, inside the container and on the host."""
     for variable in variables:
         secret = _secret_of(variable)
         one["environment"][variable] = f"/run/secrets/{secret}"

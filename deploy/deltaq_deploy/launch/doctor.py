@@ -47,7 +47,7 @@ _PERIOD_US = Path("/proc/sys/kernel/sched_rt_period_us")
 
 
 def examine_real_time() -> list[DoctorFinding]:
-    """Ask as a service does, and check what keeps real-time services from starving the machine."""
+    """Ask for real-time priority as a service does, and check that real-time services cannot starve the machine."""
     limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     return [
         judge_priority(_is_given(ASKED), limit),
@@ -76,7 +76,7 @@ def judge_priority(given: bool, limit: int) -> DoctorFinding:
 
 
 def judge_throttling(runtime_us: int | None, period_us: int | None) -> DoctorFinding:
-    """Whether the kernel reserves a fraction of the time for other programs, whatever real-time processes do.
+    """Whether the kernel reserves a fraction of the time for programs without real-time priority.
 
     Args:
         runtime_us: time of a period that they may take, -1 for all of it; None if the kernel does not say [us].

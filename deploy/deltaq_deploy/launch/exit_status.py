@@ -4,7 +4,7 @@ DONE = 0
 BAD = 1
 """The thing reported is bad, was refused, or broke."""
 USAGE = 2
-"""Wrong usage or configuration: whoever called can help it."""
+"""Wrong usage or configuration."""
 UNREACHABLE = 3
 """A service did not answer."""
 INTERRUPTED = 130

@@ -1,6 +1,6 @@
-"""Tokens of what a launch starts: one for its console, and the controllers' for the demonstration's.
+"""Tokens of launched services: one for the console, and the controllers' in a demonstration.
 
-A console gets a new one where it holds a role that it would lend to every user of the machine. It lies in the user's
+A console gets a new one if its role would otherwise be open to every user of the machine. It lies in the user's
 runtime folder for as long as the launch lasts. Two launches cannot have the same console, since only one gets its port.
 """
 
@@ -25,7 +25,7 @@ _SECRET_BYTES = 32
 
 
 def console_needs_token(environment: Mapping[str, str] = os.environ) -> bool:
-    """Whether a console that inherits this environment commands in somebody's name, and has no token of its own.
+    """Whether a console with this environment has an operator's role, but no token of its own.
 
     Raises:
         GivenTokenError: a token's file cannot be read, or is no secret.
@@ -48,7 +48,7 @@ class ConsoleToken:
 
     Attributes:
         file: of mode 0600, that holds it.
-        query: what stands behind the console's address.
+        query: the query string of the console's address.
 
     Raises:
         RuntimeFolderError: if the user has no folder of their own.
@@ -81,7 +81,7 @@ def write_new_secret(file: Path, *, keep: bool = False) -> None:
         keep: do not replace an existing secret.
 
     Raises:
-        LaunchError: the file cannot be written, it exists and `keep` is false, or what is kept is no secret.
+        LaunchError: the file cannot be written, it exists and `keep` is false, or the kept one is no secret.
     """
     try:
         descriptor = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)

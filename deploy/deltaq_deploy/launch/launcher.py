@@ -88,8 +88,8 @@ class Launcher:
     Services of a guarded realm meet in a folder that this launch makes, and removes at its end;
     consoles and controllers get the tokens that `given_tokens` tells of.
     SIGINT, SIGTERM and SIGHUP are events inside the block if the thread is the main one; or they raise
-    KeyboardInterrupt there, for whoever does not wait for events. Should this process be killed, its warden ends the
-    services, those last that robots need to come to rest.
+    KeyboardInterrupt there, for callers that do not wait for events. If this process is killed, its warden ends the
+    services; those that robots need to come to rest end last.
     """
 
     def __init__(
@@ -154,15 +154,15 @@ class Launcher:
     def start(self, idle_s: float = IDLE_S) -> None:
         """Start every service as soon as those it needs serve, and wait until all serve.
 
-        A service that works on its start is named and waited for. The cell needs no console: one that is late becomes
-        a `Ready` event, and one that ends is told.
+        A service that is busy starting is named and waited for. The cell needs no console: a late one becomes a
+        `Ready` event, and its end is reported.
 
         Args:
             idle_s: how long a service may do nothing before it serves.
 
         Raises:
             LaunchError: if a port is taken, or a service ends or does nothing instead of serving.
-            RuntimeFolderError: if others may enter the folder of the guarded realm.
+            RuntimeFolderError: if other users may enter the folder of the guarded realm.
             LaunchInterruptedError: if a signal came first.
         """
         self._start(self.services, idle_s)
@@ -344,7 +344,7 @@ class Launcher:
                 return
 
     def _environment_of(self, service: Service) -> dict[str, str]:
-        """What a service's environment has, besides what the user gave."""
+        """A service's environment variables, in addition to the user's."""
         if service.role is Role.CONSOLE and console_needs_token():
             self.console_token = self.console_token or ConsoleToken(service.listens[0].port)
             return {f"{CONSOLE_TOKEN}_FILE": str(self.console_token.file)}
@@ -373,7 +373,7 @@ def describe_exit(name: str, status: int) -> str:
 
 
 def check_ports(services: Iterable[Service]) -> None:
-    """Check that nobody else listens on the ports of these services.
+    """Check that no other program listens on the ports of these services.
 
     Raises:
         LaunchError: naming the service, the port, and where the cell's file sets it.

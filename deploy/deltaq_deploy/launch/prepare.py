@@ -77,11 +77,11 @@ def needed_by(services: Sequence[Service], cell: CellDescription, cell_name: str
 def compiled_ahead(
     needed: Needed, tell: Callable[[str], None], on_function: Callable[[str], None]
 ) -> Iterator[None]:
-    """Have what is needed compiled, by processes that end with it; within the block nobody does again.
+    """Compile what the block needs, in separate processes; within the block nothing is compiled again.
 
     Args:
-        needed: by what runs in the block.
-        tell: called with what the user has to know.
+        needed: functions of the services in the block.
+        tell: called with messages for the user.
         on_function: called with the name of each function before it is compiled; never if all are kept from before.
 
     Raises:
@@ -149,7 +149,7 @@ def _compile(needed: Needed, on_function: Callable[[str], None]) -> None:
 
 
 def _listen(compiler: subprocess.Popen[str], what: str, on_function: Callable[[str], None]) -> None:
-    """Pass on what a compiler says until it ends."""
+    """Pass on a compiler's output until it ends."""
     said: list[str] = []
     with compiler:
         assert compiler.stdout is not None  # a pipe was asked for

@@ -20,7 +20,7 @@ class LaunchInterruptedError(DeltaqError):
 
 
 def exit_status(error: DeltaqError) -> int:
-    """1 if something was refused or broke, 3 if nobody answered, 130 if interrupted, 2 if the caller can help it."""
+    """1 if something was refused or failed, 2 for wrong usage, 3 if no service answered, 130 if interrupted."""
     if isinstance(error, ServiceUnreachableError):
         return UNREACHABLE
     if isinstance(error, LaunchInterruptedError):
@@ -35,7 +35,7 @@ def run_program(main: Callable[[], int | None], name: str) -> NoReturn:
 
     Args:
         main: the program; returns its exit status, or None where it is done.
-        name: stands before what is wrong, on standard error.
+        name: precedes the error's message on standard error.
     """
     try:
         sys.exit(_run_and_flush(main))

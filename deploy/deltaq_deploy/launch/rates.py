@@ -99,8 +99,8 @@ class Track:
 class Observer:
     """Watches the states of robots from its construction to `close`.
 
-    States are stamped as they come and decoded later, some at a time: one who only watches should not take the
-    processor's time from those that are watched.
+    States are stamped as they come and decoded later, some at a time, to take no processor time from the watched
+    cell.
     """
 
     def __init__(self, listener: Listener, robots: Sequence[str]) -> None:

@@ -20,7 +20,7 @@ class NotRealError(DeltaqError):
 def refuse_unreal(cell: CellDescription, file: Path, robots: Iterable[str]) -> None:
     """Refuse addresses at which no real KRC can be, and files of a KRC that cannot be safe.
 
-    A loopback both in the cell and in the KRC's file is accepted: an emulator that somebody started by hand.
+    A loopback both in the cell and in the KRC's file is accepted: an emulator that was started by hand.
 
     Args:
         cell: the cell.

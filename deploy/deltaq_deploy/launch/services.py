@@ -1,4 +1,4 @@
-"""The table of services: what runs for a cell, in which order, and what healthy means.
+"""The table of services: the processes of a cell, their order, and their health checks.
 
 `deltaq up`, `deltaq demo`, `deltaq status --service`, `compose.yaml` and the documentation all follow from this table.
 """
@@ -79,8 +79,8 @@ class Service:
     """One row of the table.
 
     Attributes:
-        name: what people call it.
-        role: what it does.
+        name: its name on the command line.
+        role: its kind.
         arguments: of the Python interpreter.
         needs: services that must be ready before this one starts.
         listens: sockets that must be free before it starts.
@@ -114,8 +114,8 @@ def cell_services(
     Args:
         cell: the cell's description.
         cell_name: the name or path that the services are told to load it by.
-        real: robots of flesh, so no emulator.
-        audit: file to which the HLI appends who did what; empty where its environment decides.
+        real: real robots, so no emulator.
+        audit: file of the HLI's audit log; empty: its environment decides.
     """
     arguments = ("--cell", cell_name)
     realm = realm_of(cell)
@@ -184,10 +184,10 @@ def demo_controllers(cell: CellDescription) -> tuple[Service, ...]:
 def console_service(
     cell: CellDescription, cell_name: str, services: Sequence[Service], recordings: str = ""
 ) -> Service:
-    """The operator's console: a client like any other, and nothing needs it.
+    """The operator's console: a client like any other; no service needs it.
 
-    It says that the robots are emulated only if emulators of all that are driven over RSI run beside it; behind a
-    kinematic driver there is no robot that moves. It waits for no HLI: it says that there is none until there is one.
+    It calls the robots emulated only if emulators of all RSI robots run beside it; a kinematic driver has no
+    physical robot. It does not wait for the HLI, and shows whether there is one.
 
     Args:
         cell: the cell's description.
@@ -213,18 +213,18 @@ def console_service(
 
 
 def console_is_installed() -> bool:
-    """Whether what the console's page is made with is there: the extra `console`."""
+    """Whether the libraries of the console, the extra `console`, are installed."""
     return find_spec("uvicorn") is not None and find_spec("websockets") is not None
 
 
 def recorder(cell_name: str, file: str) -> Service:
-    """The recorder, for who wants a recording: it only listens, and nothing needs it."""
+    """The recorder, started on demand: it only listens, and no service needs it."""
     arguments = ("-m", "deltaq_services.recorder", "--cell", cell_name, "--file", file)
     return Service("recorder", Role.RECORDER, arguments, needs=("hli",))
 
 
 def metrics_exporter(cell_name: str) -> Service:
-    """The exporter of metrics, for who has a Prometheus: a client that only looks, and nothing needs it."""
+    """The exporter of metrics for Prometheus: a client that only reads; no service needs it."""
     return Service(
         "metrics", Role.METRICS, ("-m", "deltaq_services.metrics", "--cell", cell_name), needs=("hli",)
     )
@@ -260,7 +260,7 @@ def _unknown(services: Sequence[Service], name: str) -> UnknownServiceError:
 
 
 def _reached_at(address: str) -> str:
-    """How this machine reaches what listens on an address."""
+    """The address by which this machine reaches a listener."""
     everywhere = {"0.0.0.0": "127.0.0.1", "::": "::1"}
     host = everywhere.get(address, address)
     return f"[{host}]" if ":" in host else host
@@ -276,7 +276,7 @@ def _sockets(endpoint: str, field: str) -> tuple[ListeningSocket, ...]:
 
 
 def _emulator(robot: str, driver: RsiDescription, arguments: tuple[str, ...], needs: str) -> Service:
-    # a KRC gives up after some cycles without a reply, so the one who replies comes first
+    # a KRC gives up after some cycles without a reply, so the Robot Server comes first
     panel = driver.control_port
     where = f"robots.{robot}.driver.control_port"
     return Service(
@@ -296,9 +296,9 @@ class Resources:
     """Limits of one service.
 
     Attributes:
-        memory_mb: of its processes and of what they keep in `/tmp` [MiB]; there is no swap beyond it.
+        memory_mb: of its processes and their files in `/tmp` [MiB]; there is no swap beyond it.
         tasks: processes and threads.
-        cores: of processor time; what runs at real-time priority is not slowed down by it.
+        cores: of processor time; threads at real-time priority are not limited.
         real_time: greatest real-time priority that it may ask for; 0 for none.
     """
 

@@ -35,7 +35,7 @@ RUN_FOLDER = "deltaq"
 CONSOLE_FOLDER = "deltaq-console"
 """Of /run: the console's token is there for as long as the console is up."""
 SETTINGS = "/etc/deltaq/deltaq.env"
-"""Where whoever runs the cell sets variables of the environment, such as tokens' files."""
+"""File for environment variables of the services, such as tokens' files."""
 STOPS_WITHIN_S = 20
 """Longer than a robot brakes, and than the process takes that brakes it in its Robot Server's stead."""
 _STARTS_WITHIN_S = 300
@@ -105,7 +105,7 @@ def unit(service: Service, cell_name: str, python: Path, here: Iterable[Service]
         "Documentation=man:systemd.service(5)",
         f"PartOf={TARGET}",
         "Wants=network-online.target",
-        # what is started first is stopped last: the Robot Servers, once their robots rest
+        # units stop in reverse order: the Robot Servers last, once their robots rest
         " ".join(["After=network-online.target", *needs]),
         *([f"Wants={' '.join(needs)}"] if needs else []),
         "",
@@ -141,7 +141,7 @@ def _life(service: Service) -> Lines:
         "RestartSec=2",
         "RestartPreventExitStatus=2",  # the configuration is wrong, and will be the next time
     ]
-    if service.probe is not None and service.role is not Role.SIM:  # the gate lives by what it is sent
+    if service.probe is not None and service.role is not Role.SIM:  # the gate depends on its messages
         lines.append(f"WatchdogSec={PERIOD_S * _SILENT_BEATS:g}")
     return lines
 
@@ -164,7 +164,7 @@ def _token(service: Service, python: Path) -> Lines:
 def _environment(service: Service) -> Lines:
     lines = [
         "Environment=PYTHONUNBUFFERED=1 PYTHONDONTWRITEBYTECODE=1 XDG_CACHE_HOME=/var/cache",
-        "CacheDirectory=deltaq",  # the machine code of what numba compiles
+        "CacheDirectory=deltaq",  # numba's machine code
     ]
     if service.role in GUARDED_ROLES and service.realm is not None:
         lines += [
@@ -189,7 +189,7 @@ def _limits(role: Role) -> Lines:
         "MemorySwapMax=0",  # a cycle does not wait for a disk
         f"TasksMax={resources.tasks}",
         f"CPUQuota={resources.cores * 100:g}%",
-        # zenoh locks what it shares, and a session that may not does not open
+        # zenoh locks its shared memory, and a session without that right does not open
         f"LimitMEMLOCK={resources.memory_mb}M",
     ]
     if role is Role.HLI:
@@ -203,7 +203,7 @@ def _limits(role: Role) -> Lines:
 
 
 def _hardened(role: Role, cell_name: str) -> Lines:
-    # a cell's file in somebody's home has to be read
+    # a cell's file in a user's home has to be read
     home = "read-only" if cell_name.startswith(("/home/", "/root/", "/run/user/")) else "yes"
     no_real_time = "no" if RESOURCES[role].real_time else "yes"
     return _HARDENED.format(home=home, no_real_time=no_real_time).splitlines()
@@ -234,7 +234,7 @@ def units(
     services = _services(cell_name, real)
     chosen = select(services, only) if only else services
     texts = {name_of(service): unit(service, cell_name, python, chosen) for service in chosen}
-    # metrics are for who has a Prometheus: they are there, and nobody starts them unasked
+    # metrics are for Prometheus: the unit exists, and is started on demand
     texts[TARGET] = target(service for service in chosen if service.name != "metrics" or only)
     return {name: HEADER + text for name, text in sorted(texts.items())}
 

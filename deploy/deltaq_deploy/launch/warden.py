@@ -1,8 +1,8 @@
-"""Ends what a launcher started should the launcher be killed: the robots come to rest first.
+"""Ends the services of a launcher that was killed: the robots come to rest first.
 
 The launcher passes each process that it starts on to a small process of its own, the warden, over a socket. When the
-launcher ends, however it ends, the kernel closes the socket. The warden then terminates what decides and commands;
-Robot Servers hear no gate any more and run their brakes out; then it terminates those and what they speak to.
+launcher ends, however it ends, the kernel closes the socket. The warden then terminates the services that decide and
+command; Robot Servers miss the gate and complete their brakes; then it terminates those and the emulators.
 
 The warden also holds the reading ends of their output: a Robot Server whose output broke would end in mid-brake. If it
 is killed with the launcher, the lifelines of the services break, which ends them as SIGTERM does; see `Lifeline`.
@@ -23,7 +23,9 @@ from types import TracebackType
 from typing import Self
 
 REST_S = 3.0
-"""A Robot Server that hears no gate is at rest by then: its brake takes well below a second on every shipped robot."""
+"""Time after which a Robot Server without a gate is at rest: a brake takes well below a second on every shipped
+robot.
+"""
 GRACE_S = 5.0
 """How long a process may take to end by itself."""
 
@@ -66,7 +68,7 @@ class Warden:
             socket.send_fds(self._socket, [f"{pid} {int(brakes)}".encode()], held)
 
     def close(self) -> None:
-        """End the warden; what still runs of what it keeps, it ends."""
+        """End the warden; it ends the processes that still run."""
         self._socket.close()
         self._process.wait()
 
@@ -94,7 +96,7 @@ class _Kept:
 
 
 def main() -> int:
-    """Keep what the launcher passes on until it ends, then end it in order."""
+    """Hold the launcher's processes until the launcher ends, then end them in order."""
     kept: list[_Kept] = []
     with socket.socket(fileno=sys.stdin.fileno()) as launcher:
         while True:

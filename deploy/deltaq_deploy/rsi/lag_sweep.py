@@ -1,5 +1,6 @@
-"""`deltaq krc lag`: which increments show the lag of each axis, and what the states say of it. Plain: no clock, no I/O.
+"""`deltaq krc lag`: the increments that measure the lag of each axis, and its evaluation from states.
 
+Pure: no clock, no I/O.
 One axis after the other makes a short step, rests, steps back, rests, and then goes out and back at a tenth of its
 speed. A step of three cycles at 12 ms shows how a setpoint arrives; the sweep shows how far a moving axis trails.
 """
@@ -102,10 +103,10 @@ class MeasuredAxis:
 
 
 def measured_axis(courses: Sequence[DrivenSweep], cycle_s: float) -> MeasuredAxis:
-    """The lag that the courses of one axis show, two steps and two sweeps.
+    """The lag of one axis, from two steps and two sweeps.
 
     Raises:
-        ValueError: an axis did not move, or moved elsewhere than it was sent.
+        ValueError: an axis did not move, or did not follow its setpoints.
     """
     steps = [_arrived(course) for course in courses if course.is_step]
     count = min(len(share) for _, share in steps)

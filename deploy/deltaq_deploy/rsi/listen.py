@@ -27,7 +27,7 @@ def listen(
     answer: Responder | None = None,
     ready: Callable[[], None] = lambda: None,
 ) -> None:
-    """Listen until the time is over or Ctrl-C, and count what comes.
+    """Listen until the time is over or Ctrl-C, and count datagrams.
 
     Args:
         address: to listen on.

@@ -87,14 +87,14 @@ class Summary:
 
     Attributes:
         telegrams: datagrams that are telegrams.
-        garbled: datagrams that are none.
+        garbled: datagrams that are not telegrams.
         rate_hz: telegrams a second; None for fewer than two.
         cycle: of the KRC.
         late: intervals longer than one cycle and a half.
-        ipoc_step: by how much IPOC grows from one telegram to the next, as it mostly does.
-        ipoc_jumps: times that it grew otherwise, or went back.
+        ipoc_step: most frequent increase of the IPOC from one telegram to the next.
+        ipoc_jumps: number of other changes of it.
         delay: late replies as the KRC counts them, at the end; None if it does not say.
-        delay_growth: by how much that grew.
+        delay_growth: increase of `delay`.
         decimals: most decimals of a number.
         opened_with_ipoc_only: the first telegram had nothing but its IPOC, as a KR C2's has.
         elements: what the last telegram held.

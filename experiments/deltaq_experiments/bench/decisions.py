@@ -26,12 +26,13 @@ from deltaq_services.sim.tracker import Tracker
 from deltaq_testing.virtual_cell.cell import VirtualCell
 
 PASSES = 5
-"""How often each stored situation is decided; the median of its times counts, so that it is the gate's, and not what
-another program took from it."""
+"""Number of decisions of each stored situation; the median of their times counts, to exclude interference by other
+programs.
+"""
 
 
 clock = time.thread_time
-"""Processor time of this thread [s], so that a decision does not get longer by what other programs take."""
+"""Processor time of this thread [s], to exclude time taken by other programs."""
 
 
 class Stopwatch:

@@ -113,7 +113,7 @@ HOPS = {
 
 _STAMPS = 6
 _LONGER_S = 1.0
-"""By how much it runs longer than what it is compared with, so that its processor time can still be read."""
+"""Time by which the reference runs longer than the cell [s], so that its processor time can still be read."""
 _ENDS_WITHIN_S = 10.0
 
 
@@ -155,12 +155,12 @@ class HopTimes:
 
 
 class HopReference:
-    """The reference's processes while they run, and what they measured once they have ended.
+    """The reference's processes, and their measurements once they have ended.
 
     Args:
         made: its program.
         cycle_s: a message is sent once in this time [s].
-        duration_s: of the window that it is compared with, which begins now [s].
+        duration_s: length of the window of comparison, which begins now [s].
         folder: for its file.
     """
 
@@ -177,7 +177,7 @@ class HopReference:
         return processor_seconds(self.process.pid, with_children=True)
 
     def times(self, begin_ns: int, end_ns: int) -> HopTimes:
-        """Wait for its end; of what it measured, what was sent within a window [ns].
+        """Wait for its end; returns the measurements of messages that were sent within a window [ns].
 
         Raises:
             HopReferenceError: if it fails, or does not end.

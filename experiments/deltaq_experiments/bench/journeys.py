@@ -32,7 +32,7 @@ class RobotStamps:
         increments: time of each (cycle, sequence number) at each station of an increment [ns].
         decisions: time of each (cycle, sequence number) at each station of a decision [ns].
         admissions: time of each admission, by the cycle before that of its setpoint, at each station of one [ns].
-        outcomes: what the robot was sent in each cycle.
+        outcomes: kind of setpoint in each cycle.
     """
 
     states: dict[StampStation, dict[int, int]] = field(default_factory=lambda: {s: {} for s in OF_STATE})
@@ -156,7 +156,7 @@ def goes_after(stamps: RobotStamps, lookahead_cycles: int) -> dict[tuple[int, in
 def _decided_on(stamps: RobotStamps) -> dict[tuple[int, int], int]:
     """The cycle of the state that each increment was decided on.
 
-    Sequence numbers begin anew with each lease, so a decision belongs to the last request of its number before it.
+    Sequence numbers restart with each lease, so a decision belongs to the last request of its number before it.
     """
     requests: dict[int, list[tuple[int, int]]] = {}
     for (cycle, seq), at_ns in stamps.increments[StampStation.REQUEST_AT_GATE].items():

@@ -62,9 +62,9 @@ class LiveRun(BaseModel):
         robots: by name.
         processor_us: processor time of each process in a cycle [µs].
         wakeups: of the threads of each process, in a cycle.
-        reference: its cycles, and what share of its messages were back within theirs.
-        rows: what is promised, and what is compared.
-        silent: processes that left no stamps, so that their stations are missing.
+        reference: its cycles, and the share of its messages that were back in time.
+        rows: bounds and comparisons.
+        silent: processes without stamps; their stations are missing.
         overwritten: stamps that were lost because a ring was full.
     """
 
@@ -88,8 +88,8 @@ def run_once(options: LiveOptions, on_time: Callable[[float], None] | None = Non
     """Start the cell, a leader and the follower; measure; end everything again.
 
     Args:
-        options: what to run.
-        on_time: called now and then with the time since everything serves [s].
+        options: of the run.
+        on_time: called now and then with the time since all services are ready [s].
 
     Raises:
         LaunchError: if a service does not come up, or ends before its time.
@@ -144,7 +144,7 @@ def _run(
             stolen_share = machine_time().stolen_share_since(machine_before)
             end_ns = time.monotonic_ns()
             times = reference.times(begin_ns, end_ns)
-        # controllers first, while there is somebody to take their lease back
+        # controllers first, while the HLI can still take their lease back
         launcher.stop_service("follower")
         launcher.stop_service("leader")
     spent = {name: after[name] - before[name] for name in before}
@@ -159,7 +159,7 @@ def _counted(
     try:
         return {name: count(child.pid) for name, child in launcher.children.items()}
     except ProcessLookupError:
-        wait(_END_TOLD_S)  # raises what ended, and how
+        wait(_END_TOLD_S)  # raises an error that names the ended service
         raise
 
 

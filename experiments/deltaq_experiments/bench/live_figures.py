@@ -175,7 +175,7 @@ class _Blame:
 
 
 SLOW_CYCLE_S = 0.012
-"""Cycle of the slower of the two shipped cells; what is promised differs from the quicker one's [s]."""
+"""Cycle of the slower of the two shipped cells, which has other bounds than the quicker one [s]."""
 RATE_AT_LEAST, RATE_AT_LEAST_QUICK = 0.999, 0.995
 """Admission rate that is promised from `SLOW_CYCLE_S` on, and below it."""
 CLIENT_CYCLE_AT_MOST_MS = 24.0
@@ -252,8 +252,9 @@ class LiveRow(_Frozen):
         unit: of value, reference and bounds.
         reference: the same of the reference.
         ratio: value by reference.
-        at_most, at_least: what is promised; None for nothing.
-        kept: whether it is; None where nothing is promised. What could not be measured is not kept.
+        at_most, at_least: bounds; None for none.
+        kept: whether the bounds are kept; None without a bound. A figure that could not be measured does not keep
+            its bound.
     """
 
     what: str
@@ -321,7 +322,7 @@ def bounded_rows(
     reference_processor_us: float,
     stolen_share: float | None,
 ) -> tuple[LiveRow, ...]:
-    """What is promised, what is compared, and what the machine itself did not get, row by row."""
+    """Rows of bounds, of comparisons, and of processor time that the machine itself did not get."""
     slow = reference.cycle_s >= SLOW_CYCLE_S
     longest_s = reference.longest_client_cycle_s
     longest_ms = None if longest_s is None else longest_s * 1e3

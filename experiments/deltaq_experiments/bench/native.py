@@ -21,7 +21,7 @@ def program(name: str, folder: Path) -> str:
 
     Args:
         name: of the program.
-        folder: for what is compiled.
+        folder: for the executable.
 
     Raises:
         CompilerError: if there is no compiler, or it cannot compile it.

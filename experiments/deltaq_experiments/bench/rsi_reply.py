@@ -1,7 +1,7 @@
-"""How soon a Robot Server answers a telegram, beside an echo of the same bytes: 9 axes, 4 ms, one core.
+"""Reply time of a Robot Server, beside an echo of the same bytes: 9 axes, 4 ms, one core.
 
-The Robot Server is a process as `deltaq up` starts it. It hears a heartbeat and an admission in every cycle, as from
-the gate; since its robot stands and is not ready, it decodes the admission and refuses it.
+The Robot Server is a process as `deltaq up` starts it. It gets a heartbeat and an admission in every cycle, as from
+the gate; since its robot is not ready, it decodes the admission and refuses it.
 """
 
 from __future__ import annotations

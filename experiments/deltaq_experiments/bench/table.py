@@ -1,4 +1,4 @@
-"""Rows of `deltaq bench`: a figure, its reference of the same run, and what is promised of their ratio."""
+"""Rows of `deltaq bench`: a figure, its reference of the same run, and the bound of their ratio."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A recording read into figures: what each robot did, and what happened when."""
+"""Figures of a recording: motion and verdicts of each robot, and events."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class RobotRun:
     Attributes:
         phases: (time [s], phase, reason) whenever one of the two changed.
         missed_cycles: cycle numbers that no state had.
-        restarts: how often cycles began anew.
+        restarts: number of restarts of its cycle count.
         outcomes: verdicts by outcome.
         bound_s: times of the verdicts that did not admit as requested [s].
         reasons: those verdicts by outcome and reason.
@@ -142,7 +142,7 @@ class RobotRun:
             if count > before.counters.get(name, 0)
         }
         if "admissions" in grown:
-            # before the first nobody drove it, and after the last nobody does
+            # before the first and after the last one the robot has no driver
             self._driven_cycles += self._cycles_since if self.counters["admissions"] else grown["admissions"]
             self._cycles_since = 0
         self.counters.update(grown)
@@ -216,11 +216,11 @@ class RunEventKind(StrEnum):
 
 @dataclass
 class RunEvent:
-    """Something that an operator would ask about.
+    """An event for the operator.
 
     Attributes:
         time_s: from the beginning of the recording [s].
-        kind: what it is about.
+        kind: its kind.
         robot: its name; empty if it concerns the cell.
         text: for people.
         count: how often it happened in a row.
@@ -249,7 +249,7 @@ class RecordedRun:
         events: in the order of time.
         nearest: time [s] and distance [m] of the nearest pair of the cell.
         least: the nearest pair of the whole recording and its time [s].
-        notices: what could not be read.
+        notices: faults in the recording.
     """
 
     path: Path

@@ -108,12 +108,12 @@ class Episode:
     Args:
         stack: a new cell.
         leader: moves the leader.
-        delay_cycles: how much older what is seen of the leader is.
+        delay_cycles: delay of the leader's states.
 
     Attributes:
         stack: the cell.
         cycles: so far.
-        observation: what the policy sees now.
+        observation: the present observation.
     """
 
     def __init__(self, stack: VirtualCell, leader: ScriptedLeader, delay_cycles: int) -> None:
@@ -181,22 +181,21 @@ class CameraEnvironment(gymnasium.Env[Observation, Array]):
     """The paper's camera tracking: keep a moving tool in view, from the desired distance.
 
     An observation is what a controller sees: of its `own` robot and of the `leader` the configuration `q`, the
-    setpoint `q_cmd` and the increment `dq` that led there, each (n,) [rad or m]. What it sees of the leader is as old
-    as the link makes it. An action (n,) in [-1, 1] is an increment, as a share of the largest one. It is clipped to
-    what speed, acceleration and room to brake allow, as the project's own controllers do; whether a body is too
-    near is for the gate to say. The reward is `-angle_rad - |distance_m|`, the errors of the view after the step.
+    setpoint `q_cmd` and the increment `dq` that led there, each (n,) [rad or m]. The leader's values are delayed by
+    the link. An action (n,) in [-1, 1] is an increment, as a share of the largest one. It is clipped to the limits
+    of speed, acceleration and braking distance, as in the shipped controllers; the gate alone checks distances. The
+    reward is `-angle_rad - |distance_m|`, the errors of the view after the step.
 
-    `info` has these errors, and after a step `dq`, the increment that was asked for, and `verdict`, the gate's on it:
-    the fields of the message, without those that are null.
+    `info` has these errors, and after a step `dq`, the requested increment, and `verdict`, the fields of the gate's
+    verdict that are not null.
 
-    An episode is truncated when its time is over, and terminates where only a reset makes the robot move again. A seed
-    decides where the follower begins and how the leader moves; with the same actions it is the same run to the bit.
+    An episode is truncated when its time is over, and terminates when the robot is held. A seed determines the
+    follower's start and the leader's motion; with the same actions the run is the same, bit for bit.
 
     Args:
         cell: name or file of a cell in which a robot with a camera can watch the tool of another one.
         leader_speed_m_s: largest speed of the leader's tool [m/s].
-        latency_s: by how much a link delays what is seen of the leader, on top of the drives' lag and the loop's
-            cycles [s].
+        latency_s: delay of the leader's states on the link, added to the drives' lag and the loop's cycles [s].
         duration_s: length of an episode [s].
         start_error_deg: largest view angle error at the start; it is at least half of that [deg].
 

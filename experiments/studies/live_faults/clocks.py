@@ -1,7 +1,7 @@
 """Clocks of single processes that can be set while they run, the system's clock untouched.
 
-A small C library (`clocks.c`), compiled when it is needed, is preloaded into the processes. It adds to what their
-clocks say, and takes off their deadlines again what the kernel knows nothing of.
+A small C library (`clocks.c`), compiled when it is needed, is preloaded into the processes. It adds an offset to
+their clocks, and subtracts it from deadlines that go to the kernel.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class SettableClocks:
             shared[:] = _packed(clocks)
 
     def begin_with(self, clocks: Clocks) -> None:
-        """Let this be what the clocks of processes say that are yet to start."""
+        """Set the clocks of processes that are started later."""
         (self._folder / "begin").write_bytes(_packed(clocks))
 
 

@@ -45,7 +45,7 @@ RELAY = "relay"
 
 @dataclass(frozen=True)
 class RelayPlacement:
-    """A wire, and what is impaired on it as a whole."""
+    """A wire, and the unit that is impaired on it."""
 
     link: Link
     unit: TrafficUnit
@@ -165,9 +165,9 @@ class MovingCell:
     Attributes:
         launcher: of its services.
         panel: of the robot's emulated controller.
-        records: what every emulated controller keeps.
-        relay: in the wire that is to be impaired, if one is.
-        clocks: of its processes, where they can be set.
+        records: of every emulated controller.
+        relay: in the impaired wire, if any.
+        clocks: of its processes, if they can be set.
     """
 
     launcher: Launcher
@@ -212,9 +212,9 @@ def moving_cell(loaded: LoadedCell, robot: str, needs: Needs, seed: int = 0) -> 
     """Start the cell's services and a controller that moves the robot.
 
     Args:
-        loaded: the cell; nobody else may run it.
-        robot: the one that moves.
-        needs: what the faults need that it shall suffer.
+        loaded: the cell; no other process may run it.
+        robot: the moving robot.
+        needs: of the faults to be injected.
         seed: of the relay's random numbers.
 
     Raises:

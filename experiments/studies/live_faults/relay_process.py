@@ -28,7 +28,7 @@ class RelayProcess:
     """
 
     def __init__(self, listen: Endpoint, to: Endpoint, unit: TrafficUnit, seed: int = 0) -> None:
-        # spawned: a fork of a process with zenoh's threads in it could stand still for ever
+        # spawned: a fork of a process with zenoh's threads could hang for ever
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(
@@ -69,7 +69,7 @@ class RelayProcess:
 
 
 def _serve(pipe: Connection, listen: Endpoint, to: Endpoint, unit: TrafficUnit, seed: int) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # who started it ends it
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # its parent ends it
     try:
         asyncio.run(_relay(pipe, listen, to, unit, seed))
     except DeltaqError as error:

@@ -93,21 +93,21 @@ def run_live_faults(
     on_row: Callable[[FaultEffect], None],
     seed: int = 0,
 ) -> None:
-    """Start the cell's services, let a moving robot suffer fault after fault, and take everything down.
+    """Start the cell's services, inject fault after fault while a robot moves, and end everything.
 
     Faults of one wire share a cell with a relay in that wire; others have no relay in their way.
 
     Args:
-        faults: those that can be had live.
-        loaded: the cell; nobody else may run it.
-        robot: the one that moves.
+        faults: those that can be injected live.
+        loaded: the cell; no other process may run it.
+        robot: the moving robot.
         on_row: called with each row.
         seed: of the relays' random numbers.
 
     Raises:
         LaunchError: if a service does not come up.
         FaultRunError: if the robot never got to its cruising speed.
-        NoCompilerError: if clocks shall be set, and the library for that cannot be made.
+        NoCompilerError: if clocks are to be set, and the library for that cannot be made.
     """
     waiting: dict[Needs, list[Fault]] = {}
     for fault in faults:
@@ -274,7 +274,7 @@ class _Run:
         return True
 
     def _phase(self) -> tuple[Phase, ReasonCode | None]:
-        """What the HLI shows once it is back and has heard the robot."""
+        """The robot's phase at the HLI, once the HLI is back and has a state."""
         deadline = time.monotonic() + _START_S
         while True:
             with connect(self._description, "deltaq fault") as running:

@@ -1,4 +1,4 @@
-"""Somebody beside the KRC who sends to its Robot Server what is no telegram of the KRC, as a thread of its own."""
+"""A second sender that sends foreign datagrams to a Robot Server beside its KRC, as a thread of its own."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class NoRawSocketError(DeltaqError):
 
 
 class Bomber:
-    """A context manager; it sends while inside.
+    """A second sender; a context manager that sends while inside.
 
     Args:
-        how: what is sent.
-        to: where the Robot Server listens.
+        how: kind of datagrams.
+        to: address of the Robot Server.
 
     Raises:
         NoRawSocketError: if this user may not send from port 0.
@@ -71,5 +71,5 @@ class Bomber:
 
     def _bomb(self) -> None:
         while not self._ended.wait(_PERIOD_S):
-            with suppress(OSError):  # nobody listens there, or its buffer is full
+            with suppress(OSError):  # no Robot Server listens there, or its buffer is full
                 self._socket.sendto(self._datagram, self._to)

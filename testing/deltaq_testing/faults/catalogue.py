@@ -1,8 +1,8 @@
 """The catalogue of faults: one row a fault, injected in virtual time, live, or into a cell that is up.
 
-A fault of a KRC or of its wire is a request to the emulated controller's panel and the same everywhere. A
-process that dies or freezes is so live too. To a wire between processes a relay does live what is done to the wires
-between the cores in virtual time.
+A fault of a KRC or of its wire is a request to the emulated controller's panel, in all three cases. A process that
+dies or freezes does so live, too. A live wire between processes is impaired by a relay, as the wires between the
+cores are in virtual time.
 """
 
 from __future__ import annotations
@@ -114,12 +114,12 @@ class AskPanel:
 
 
 class Bombard(StrEnum):
-    """Datagrams that somebody sends to the Robot Server beside its KRC, some in every cycle."""
+    """Foreign datagrams to the Robot Server, some in every cycle."""
 
     OVERSIZED = "oversized"
     """True telegrams with so much behind them that no telegram is so long."""
     PORT_ZERO = "port 0"
-    """True telegrams from a port that nobody can be answered at."""
+    """Valid telegrams from port 0, to which no answer can be sent."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ Action = (
 
 
 class UnknownFaultError(DeltaqError):
-    """A fault was named that the catalogue does not have, or that cannot be had this way."""
+    """The catalogue does not have the fault, or it cannot be injected in this way."""
 
 
 CHANGE_S = 0.4
@@ -158,10 +158,10 @@ class Fault:
     """One row of the catalogue.
 
     Attributes:
-        name: what it is asked for by.
-        what: what happens, for people.
-        action: what is done.
-        lift: a panel request that ends it, where it does not end by itself or with its process.
+        name: on the command line.
+        what: its description.
+        action: how it is injected.
+        lift: a panel request that ends it, unless it ends by itself or with its process.
     """
 
     name: str
@@ -186,9 +186,9 @@ class Fault:
 
     @property
     def virtual(self) -> bool:
-        """Whether it can be had in virtual time.
+        """Whether it can be injected in virtual time.
 
-        There are neither connections nor a recorder nor a time of day, and the KRC's own faults are those of its wire.
+        There are no connections, no recorder and no time of day.
         """
         match self.action:
             case ImpairStream() | ReadNothing() | FillDisk() | SetWallClock():

@@ -1,4 +1,4 @@
-"""A controller in virtual time: a function that is asked for an increment, and what it says when it goes wrong."""
+"""A controller in virtual time: a function that returns increments, and its misbehaviour under faults."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ class VirtualController:
 
     Args:
         robot: its name.
-        decide: is asked for each increment.
-        send: puts what it says on the wire to the HLI.
+        decide: returns each increment.
+        send: sends its messages to the HLI.
         client: its own name.
-        told: is shown all that the HLI says.
+        told: gets all messages of the HLI.
 
     Attributes:
         robot: its name.
@@ -108,7 +108,7 @@ def misbehaved(how: Misbehaviour | None, cycle: int, dq: Any) -> Iterator[Any]:
 
 
 def increment_of(data: dict[str, Any], token: str | None) -> Increment | InvalidMessageError:
-    """The increment that was said, or why it is none, as the HLI finds it; `token` is that of the lease."""
+    """The increment in a message, or why the HLI finds none in it; `token` is that of the lease."""
     try:
         return from_map(Increment, {**data, "type": "increment", "lease": token})
     except InvalidMessageError as error:
@@ -125,7 +125,7 @@ def plain(dq: Any) -> Any:
 
 
 class CellUseError(DeltaqError):
-    """The cell under test is asked for what it cannot do: run undriven, be driven twice, have a seed below zero."""
+    """The cell under test is used in an impossible way: run undriven, driven twice, or with a seed below zero."""
 
 
 @runtime_checkable
@@ -138,15 +138,15 @@ class Viewing(Protocol):
 
 
 def begun(controller: Any) -> Any:
-    """What a process of it runs: an object of a class, or what was given."""
+    """The controller of a new process: a new object of a class, or the given object."""
     return controller() if isinstance(controller, type) else controller
 
 
 def deciding(controller: Any, states: Mapping[str, RobotState]) -> Decide:
-    """The function that is asked.
+    """The function that returns increments.
 
     Args:
-        controller: a function of a state, or what has a method `increment(view)`.
+        controller: a function of a state, or an object with a method `increment(view)`.
         states: the newest of each robot.
 
     Raises:

@@ -1,4 +1,4 @@
-"""What makes the processes of a live cell suffer a fault, and what ends it."""
+"""Injects faults into the processes of a live cell, and ends them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SERVICES = (Process.HLI, Process.SIM, Process.ROBOT_SERVER)
 
 
 def applies_live(fault: Fault) -> bool:
-    """Whether a live cell under test can suffer it: one of its services or its KRC does."""
+    """Whether the fault can be injected into a live cell under test: into one of its services or its KRC."""
     match fault.action:
         case Kill(process) | Freeze(process):
             return process in _SERVICES
@@ -57,7 +57,7 @@ class Injector:
                 self._bomber.__enter__()
 
     def lift(self, fault: Fault) -> list[str]:
-        """Let it end; tells what had to be done for that."""
+        """End the fault; returns the actions that were needed."""
         if fault.changes_program:
             self.panel.ask({"op": "stop"})
             time.sleep(CHANGE_S)

@@ -58,7 +58,7 @@ def recovery(state: str) -> tuple[dict[str, Any], ...]:
 
 
 def pendant_message(message: str | None) -> str | None:
-    """The message on the pendant, if the controller refuses with it what it was sent."""
+    """The message on the pendant, if it means that the controller refused a setpoint."""
     return message if message is not None and any(text in message for text in _PROTESTS) else None
 
 
@@ -150,7 +150,7 @@ def load_rsi_cell(cell_name: str | Path, robot: str | None = None) -> LoadedCell
 
 
 def must_have(cell: CellDescription, robot: str | None) -> None:
-    """Refuse a robot that a cell does not have; None is none in particular.
+    """Refuse a robot that a cell does not have; None is accepted.
 
     Raises:
         UnknownFaultError: there is no such robot.
@@ -178,13 +178,13 @@ class Injected(BaseModel):
 
 
 def inject(fault: Fault, cell: CellDescription, robot: str, for_s: float) -> Injected:
-    """Inject a fault, wait, look, and lift it.
+    """Inject a fault, wait, read the robot's state, and end the fault.
 
     Args:
         fault: one that is injectable.
         cell: description of the running cell.
-        robot: whose controller suffers it.
-        for_s: how long it stands before it is looked at and lifted.
+        robot: whose controller is affected.
+        for_s: duration of the fault [s].
 
     Raises:
         UnknownFaultError: if the fault is none of the emulated controller's.

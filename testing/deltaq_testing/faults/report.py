@@ -10,7 +10,7 @@ from deltaq_protocol.arrays import Array
 from deltaq_testing.oracle import TELEGRAM_STEP, limit_violations
 
 ABRUPT_PER_CYCLE = 2
-"""Of a setpoint that stands still for a cycle: one abrupt stop, one abrupt start."""
+"""Abrupt changes of a setpoint that rests for one cycle: a stop and a start."""
 
 
 NEVER = "never"
@@ -54,7 +54,7 @@ class Kept(BaseModel):
             each altered telegram.
         clearance_m: least distance between robots, and between robots and structure.
         self_clearance_m: least distance between two bodies of one robot.
-        protest: message with which the KRC refused a setpoint that it was sent; None if it took all.
+        protest: message with which the KRC refused a setpoint; None if it accepted all.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -76,8 +76,8 @@ class FaultEffect(BaseModel):
     Attributes:
         phase, reason: of the robot while the fault stood, once it was at rest or at the end.
         named_after_s: from the fault until the robot was held; None if it never was.
-        recovery: what it took to move again, in order; "by itself" if nothing, "never" if all of it failed.
-        good: no limit passed, nothing refused by the KRC, no abrupt cycle unexplained, stop distances kept, and it
+        recovery: actions until it moved again, in order; "by itself" for none, "never" if all failed.
+        good: no limit passed, nothing refused by the KRC, no unexplained abrupt cycle, stop distances kept, and it
             moved again.
     """
 

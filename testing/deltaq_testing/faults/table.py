@@ -39,12 +39,12 @@ def run_table(
     seed: int = 0,
     on_row: Callable[[int, int], None] | None = None,
 ) -> FaultTable:
-    """Let one robot suffer fault after fault in virtual time.
+    """Inject fault after fault in virtual time while one robot moves.
 
     Args:
         cell_name: name or file of a cell whose robots are driven over RSI.
-        robot: the one that moves; None for the first of the cell.
-        faults: from the catalogue; those that cannot be had in virtual time are left out.
+        robot: the moving robot; None for the first of the cell.
+        faults: from the catalogue; those that are not possible in virtual time are left out.
         seed: of the wires' random numbers.
         on_row: called with the number of rows done and the number of all.
 

@@ -127,7 +127,7 @@ class VirtualInjector:
                 stack.stop()
 
     def lift(self, fault: Fault) -> list[str]:
-        """Let it end; tells what had to be done for that.
+        """End the fault; returns the actions that were needed.
 
         Raises:
             PanelError: the emulated controller is not in a state in which it can end.
@@ -161,7 +161,7 @@ class VirtualInjector:
         return []
 
     def bring_back(self) -> list[str]:
-        """Do what an operator does so that the robot may move again; tells what that was."""
+        """Do what an operator does until the robot may move again; returns the actions."""
         steps = []
         requests = recovery(self._arm.krc.state)
         if requests:
@@ -277,7 +277,7 @@ def run_fault(fault: Fault, loaded: LoadedCell, robot: str, seed: int = 0) -> Fa
 
 
 class _Run:
-    """A cell, the record of its robot, and the oracle that watches."""
+    """A cell, the record of its robot, and the independent checker."""
 
     def __init__(self, loaded: LoadedCell, robot: str, seed: int) -> None:
         self.stack = VirtualCell(loaded, seed=seed + 100)
@@ -320,7 +320,7 @@ class _Run:
             self.cycle()
 
     def recover(self, fault: Fault) -> str:
-        """Lift the fault and do what it takes until the robot moves; tells what it took."""
+        """End the fault and recover until the robot moves; returns the actions."""
         steps = self.injector.lift(fault)
         for _ in range(ATTEMPTS):
             if self._moves():

@@ -1,4 +1,4 @@
-"""The relay for a link, chosen by what the link carries."""
+"""The relay for a link, chosen by the link's protocol."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class FaultyLines:
 
     @property
     def next_s(self) -> float | None:
-        """When the next line leaves, or None if there is none."""
+        """Time at which the next line leaves [s], or None if none waits."""
         return self._link.next_s
 
 
@@ -148,7 +148,7 @@ class TrafficUnit(StrEnum):
     """The unit that faults affect."""
 
     BYTES = "bytes"
-    """The byte stream of a TCP connection, whatever it carries."""
+    """The byte stream of a TCP connection."""
     LINES = "lines"
     """Each line of a TCP connection, such as JSON lines."""
     MESSAGES = "messages"
@@ -179,7 +179,7 @@ class InvalidFaultError(DeltaqError):
 
 
 def unit_of(endpoint: Endpoint, name: str = "") -> TrafficUnit:
-    """The unit of this name; of an empty one, what the transport itself carries.
+    """The unit of this name; for an empty name the transport's own.
 
     Raises:
         InvalidFaultError: if there is no such unit.

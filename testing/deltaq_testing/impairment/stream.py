@@ -1,6 +1,6 @@
 """Faults of a byte stream, as a queue in time: no clock is used here, and one seed is one run.
 
-A stream such as TCP keeps every byte and their order, so it can be late, slow or stand still, and nothing else. Only
+A stream such as TCP keeps every byte and their order, so it can only be late, slow or stalled. Only
 messages can be lost, duplicated or overtaken: see `deltaq_emulator.faults`.
 """
 
@@ -73,5 +73,5 @@ class FaultyStream:
 
     @property
     def next_s(self) -> float | None:
-        """When the next bytes leave; None if there are none, or they stand still."""
+        """Time at which the next bytes leave [s]; None if none wait, or the stream is stalled."""
         return self._queue[0][0] if self._queue and not self.faults.stalled else None

@@ -1,4 +1,4 @@
-"""A relay for TCP connections, and those of Unix sockets, that impairs what they carry."""
+"""A relay that impairs TCP connections and those of Unix sockets."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class TcpRelay:
             if not _is_cut(self._faults):
                 await self._carry(reader, writer)
         except (OSError, asyncio.CancelledError):
-            pass  # one of the two has gone or was never there, or the relay ends: `abort` tells who is left
+            pass  # one end is gone or was never there, or the relay ends: `abort` tells the other end
         finally:
             writer.transport.abort()
             self._connections.discard(connection)

@@ -164,7 +164,7 @@ class _Exchange:
         self._socket.close()
 
     def _send(self, datagram: bytes) -> None:
-        with contextlib.suppress(OSError):  # nobody listens there, or not yet
+        with contextlib.suppress(OSError):  # no listener there, or not yet
             self._socket.send(datagram)
 
     def _read(self) -> None:

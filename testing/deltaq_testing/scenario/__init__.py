@@ -1,1 +1,1 @@
-"""Scenarios: faults for a controller, and what must come of them, as a file."""
+"""Scenarios: faults for a controller, and the expected results, as a file."""

@@ -54,7 +54,7 @@ def parse_scenario(text: str, source: str) -> Scenario:
 
 
 def dumped(scenario: Scenario) -> str:
-    """A scenario as a YAML text, without what it leaves at the default."""
+    """A scenario as a YAML text, without default values."""
     fields: dict[str, Any] = scenario.model_dump(mode="json", exclude_defaults=True)
     return yaml.safe_dump(fields, sort_keys=False, allow_unicode=True)
 

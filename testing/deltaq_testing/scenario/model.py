@@ -23,7 +23,7 @@ Reference = Annotated[str, Field(pattern=r"^[^:]+:[A-Za-z_]\w*$")]
 
 
 class ScenarioModel(BaseModel):
-    """Base of what a scenario consists of."""
+    """Base of the parts of a scenario."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -102,9 +102,10 @@ class Expectations(ScenarioModel):
 
 
 class FaultSearch(ScenarioModel):
-    """What `deltaq fault search` draws instead of `faults`: at most `most` of these, of `longest_s` [s] each.
+    """The draw of `deltaq fault search` in place of `faults`.
 
-    `faults` names them; all that can be had in virtual time if it is left out.
+    It has at most `most` faults, of at most `longest_s` [s] each. `faults` names the candidates;
+    by default all that are possible in virtual time.
     """
 
     faults: Annotated[list[str], Field(min_length=1)] | None = None
@@ -124,7 +125,7 @@ class Scenario(ScenarioModel):
 
     `controller` drives the robot under test: `file.py:name` or `package.module:name` of what `CellUnderTest.drive`
     takes. `command` is a program instead, `{port}` in it the port to connect to; it is started in the file's folder.
-    `others` names controllers of further robots. At `recover_at_s` an operator does what it takes to move again.
+    `others` names controllers of further robots. At `recover_at_s` an operator recovers the robot.
     """
 
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0

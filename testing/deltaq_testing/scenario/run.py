@@ -1,4 +1,4 @@
-"""Runs scenarios, and asks whether what was expected came of them."""
+"""Runs scenarios, and checks their expectations."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from deltaq_testing.scenario.model import Scenario, Tracking
 from deltaq_testing.virtual import CellUnderTest
 from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 
-# Finds what a scenario names: a controller or a function in a file beside it, or in a package.
+# Finds a scenario's controllers and functions, in files beside it or in packages.
 
 
 def resolved(reference: str, folder: Path) -> Any:
@@ -60,7 +60,7 @@ def _of_file(file: Path) -> ModuleType:
     assert spec is not None  # it ends in .py
     assert spec.loader is not None
     module = module_from_spec(spec)
-    # what it imports from files beside it is found as if it had been run there
+    # imports from files beside it work as if it had been run there
     sys.path.insert(0, str(file.parent))
     try:
         spec.loader.exec_module(module)
@@ -82,13 +82,13 @@ class Check:
 
 @dataclass(frozen=True)
 class ScenarioOutcome:
-    """What came of a scenario.
+    """The result of a scenario.
 
     Attributes:
         name: of the scenario.
         scenario: what was run.
-        checks: expectation after expectation.
-        cell: with all that was recorded.
+        checks: results of the expectations, in their order.
+        cell: with all records.
         wall_s: how long the run took.
     """
 
@@ -119,7 +119,7 @@ class Runner:
         """Run a scenario; an error of the controller is an expectation that was not met.
 
         Raises:
-            ScenarioError: it names what is not there.
+            ScenarioError: it names a missing file or object.
             UnknownFaultError: its cell has no such robot, or robots without a KRC.
             CellError: there is no such cell.
         """
@@ -198,7 +198,7 @@ class Runner:
 
 
 def _run(cell: CellUnderTest, scenario: Scenario) -> str | None:
-    """Run it to its end; what went wrong with the controller, if anything did."""
+    """Run it to its end; returns the controller's error, if any."""
     try:
         if scenario.recover_at_s is not None:
             cell.run(scenario.recover_at_s)

@@ -22,14 +22,14 @@ def shortest_failure(
     seed: int,
     on_run: Callable[[int], None] = lambda _: None,
 ) -> ScenarioOutcome | None:
-    """The outcome of the shortest schedule that was found to fail; None if all that were drawn went well.
+    """The outcome of the shortest failing schedule found; None if no drawn schedule fails.
 
     Args:
         scenario: whose faults are drawn, as its `search` says.
         runner: runs it.
         name: of the outcome.
         examples: how many schedules are drawn before the search is given up.
-        seed: of what is drawn: the same seed draws the same schedules.
+        seed: of the draw: the same seed draws the same schedules.
         on_run: called after each run with the number of runs so far.
 
     Raises:
@@ -63,6 +63,6 @@ def with_faults(scenario: Scenario, faults: Sequence[TimedFault]) -> Scenario:
         FaultEntry(fault=timed.what.name, at_s=round(timed.at_s, 6), for_s=round(timed.for_s, 6))
         for timed in faults
     ]
-    # what belongs to the file's own faults: others brake the robot elsewhere, and hold it for reasons of their own
+    # expectations about the file's own faults: other faults brake the robot elsewhere, and hold it for other reasons
     expect = scenario.expect.model_copy(update={"rested_within_cycles": None, "reasons": None, "phase": None})
     return scenario.model_copy(update={"faults": entries, "expect": expect})

@@ -35,13 +35,13 @@ class VirtualArm(VirtualProcess[RobotServer]):
     """A robot that is no KUKA, and the process of its Robot Server.
 
     Args:
-        begin: makes the Robot Server's core, as a process of the given number does when it starts.
-        q: (n,) where the robot stands [rad or m].
+        begin: makes the Robot Server's core, from the number of its process.
+        q: (n,) start configuration [rad or m].
         publish: takes each state that the Robot Server publishes.
         now: the time [s].
 
     Attributes:
-        clock_s: what the Robot Server's clock is ahead.
+        clock_s: offset of the Robot Server's clock [s].
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class VirtualArm(VirtualProcess[RobotServer]):
         return ()
 
     def start(self) -> None:
-        """Start the Robot Server's process, or start it anew."""
+        """Start or restart the Robot Server's process."""
         self._processes += 1
         super().start()
 
@@ -123,7 +123,7 @@ class KrcArm(VirtualArm):
         krc: the emulated controller.
         panel: its panel.
         to_pc, from_pc: the wire between KRC and Robot Server.
-        bombard: adds what somebody sends beside the KRC, right after its telegram; None while nobody does.
+        bombard: adds foreign datagrams right after the KRC's telegram; None for none.
     """
 
     def __init__(

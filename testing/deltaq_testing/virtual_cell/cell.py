@@ -1,9 +1,9 @@
-"""The whole stack in one process and in virtual time: the very cores of the services, whose messages are routed here.
+"""The whole stack in one process and in virtual time: the services' own cores, with their messages routed here.
 
-Nothing waits, so it runs faster than real time, and nothing is random but what a seed decides, so the same controllers
-give the same run to the bit. Within a cycle whatever is under way arrives in the order of its time, so that a reply may
-be late by a fraction of a cycle, as it may over UDP. Processes can die, stand still and start anew; into any wire one
-can be plugged that loses, delays, doubles and reorders. All other wires are perfect: a message arrives as it is sent.
+Nothing waits, so it runs faster than real time, and a seed determines all random numbers, so the same controllers
+give the same run, bit for bit. Within a cycle messages arrive in the order of their times, so a reply may be late by
+a fraction of a cycle, as over UDP. Processes can die, freeze and restart; any wire can be replaced by one that
+loses, delays, duplicates and reorders. All other wires are perfect: a message arrives at once.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ GUARDED_WAYS: dict[type[Message], tuple[Link, Process]] = {
     Request: (Link.HLI_SIM, Process.SIM),
     Command: (Link.HLI_SIM, Process.SIM),
 }
-"""How a message of the guarded realm goes, and to whom."""
+"""Route and receiver of a message of the guarded realm."""
 
 
 class Wiring:
     """The wires between the services of a cell.
 
     Args:
-        arrive: takes what has arrived, and where.
+        arrive: takes each message at its receiver.
     """
 
     def __init__(self, arrive: Callable[[Process, Message], None]) -> None:
@@ -74,7 +74,7 @@ class Wiring:
         self._links.append(wire.link)
 
     def watch(self, links: Iterable[FaultyLink]) -> None:
-        """Heed what is under way on links that others pump."""
+        """Also consider messages on links that other code pumps."""
         self._links += links
 
     def send(self, now_s: float, link: Link, to: Process, message: Message) -> None:
@@ -92,7 +92,7 @@ class Wiring:
         return min((due_s for link in self._links if (due_s := link.next_s) is not None), default=None)
 
     def pump(self, now_s: float) -> None:
-        """Carry what arrives by now on the wires that are plugged in."""
+        """Deliver the messages that are due on the replaced wires."""
         for wire, to in self._plugged:
             for message in wire.take(now_s):
                 self._arrive(to, message)
@@ -119,11 +119,11 @@ class VirtualCell:
     Attributes:
         cell: its model.
         arms: its robots.
-        states: what controllers see of each robot that the HLI has heard.
+        states: newest state of each robot, as controllers see it.
         now_s: virtual time.
         cycle_count: cycles so far.
-        hli_clock_s: what the HLI's clock is ahead.
-        wall_clock_s: what the time of day is ahead that a new HLI finds.
+        hli_clock_s: offset of the HLI's clock [s].
+        wall_clock_s: offset of the time of day for a new HLI [s].
     """
 
     def __init__(
@@ -173,7 +173,7 @@ class VirtualCell:
         ticking = [arm for name, arm in self.arms.items() if robots is None or name in robots]
         for arm in ticking:
             arm.begin_cycle(self.now_s)
-        # what is due exactly at the end belongs to the next cycle, up to rounding
+        # a message due exactly at the end belongs to the next cycle, up to rounding
         while (due_s := self._wiring.next_s) is not None and due_s < end_s - _ROUNDING_S:
             self.now_s = max(self.now_s, due_s)
             self._pump()
@@ -181,10 +181,10 @@ class VirtualCell:
             arm.end_cycle(end_s)
 
     def run_until_ready(self) -> None:
-        """Cycle until every robot has been heard by the gate and the gate by every robot.
+        """Cycle until the gate has a state of every robot, and every robot a message of the gate.
 
         Raises:
-            VirtualCellError: if that takes longer than it may.
+            VirtualCellError: if that takes too long.
         """
         for _ in range(_START_CYCLES):
             self.cycle()
@@ -235,7 +235,7 @@ class VirtualCell:
         up: MessageWire | None = None,
         down: MessageWire | None = None,
     ) -> Connection:
-        """Connect a client that `begin` makes, to which what sends is given; over wires to the HLI and from it."""
+        """Connect a client over wires to the HLI and from it; `begin` makes it from a function that sends."""
         connection = Connection(begin, lambda: self.now_s, self._to_hli, up, down)
         self._connections.append(connection)
         self._wiring.watch(wire.link for wire in (up, down) if wire is not None)
@@ -284,7 +284,7 @@ class VirtualCell:
         return self.sim.take(message)
 
     def carry_out(self, outputs: list[Output]) -> None:
-        """Send what the HLI wants sent, in its order."""
+        """Send the HLI's outputs, in their order."""
         for output in outputs:
             if isinstance(output, ToSender):
                 output.sender.deliver(output.message)

@@ -21,11 +21,11 @@ from deltaq_services.outputs import Sender
 from deltaq_testing.virtual_cell.parts import MessageWire, VirtualProcess
 
 Say = Callable[[Message | InvalidMessageError], None]
-"""Sends to the HLI a message, or what is none."""
+"""Sends a message to the HLI, or an invalid one."""
 
 
 class VirtualClient(Protocol):
-    """What runs at a client's end.
+    """The program at the client's end of a connection.
 
     Attributes:
         robot: that it drives.
@@ -36,7 +36,7 @@ class VirtualClient(Protocol):
     token: str | None
 
     def take(self, message: Message) -> None:
-        """The HLI has said something."""
+        """Take a message from the HLI."""
         ...
 
 
@@ -44,7 +44,7 @@ class ClientPort(Sender):
     """The HLI's end of a connection.
 
     Args:
-        deliver: takes what the HLI answers.
+        deliver: takes the HLI's messages.
     """
 
     lasting = True
@@ -61,9 +61,9 @@ class Connection(VirtualProcess[VirtualClient]):
     """A client's process, and its connection to the HLI.
 
     Args:
-        begin: makes the client, as its process does when it starts; it is given what sends.
-        now: the time [s].
-        to_hli: takes what the client has sent once it arrives, and whom to answer.
+        begin: makes the client at each start, from a function that sends.
+        now: returns the time [s].
+        to_hli: takes each message that arrives, and the sender to answer.
         up, down: wires to the HLI and from it; None for perfect ones.
     """
 
@@ -80,20 +80,20 @@ class Connection(VirtualProcess[VirtualClient]):
         super().__init__(lambda: begin(self._say))
 
     def start(self) -> None:
-        """Connect anew; nothing that is meant for the connection before arrives here."""
+        """Restart the client on a new connection; messages of the old one are dropped."""
         port = ClientPort(lambda message: self.tell(message) if self._port is port else None)
         self._port = port
         super().start()
 
     def tell(self, message: Message) -> None:
-        """The HLI says something."""
+        """Send the client a message from the HLI."""
         if self._down is None or self._down.perfect:
             self._told(message)
         else:
             self._down.send(self._now(), message)
 
     def pump(self, now_s: float) -> None:
-        """Carry what arrives by now."""
+        """Deliver the messages that are due at `now_s`, in both directions."""
         for message in self._down.take(now_s) if self._down is not None else ():
             self._told(message)
         for message in self._up.take(now_s) if self._up is not None else ():
@@ -110,7 +110,7 @@ class Connection(VirtualProcess[VirtualClient]):
 
 
 class SteppedController:
-    """A controller that is asked from outside, one increment at a time.
+    """A controller whose increments the caller passes, one at a time.
 
     Args:
         robot: that it drives.
@@ -128,7 +128,7 @@ class SteppedController:
         self._verdict: Verdict | None = None
 
     def take(self, message: Message) -> None:
-        """The HLI has said something; the newest of each kind counts."""
+        """Keep the newest message of each kind from the HLI."""
         if isinstance(message, LeaseReply):
             self.token = message.lease if message.granted else None
         elif isinstance(message, Verdict):
@@ -137,7 +137,7 @@ class SteppedController:
             self._cycle = message.cycle
 
     def acquire(self, client: str) -> bool:
-        """Ask for the lease; tells whether it was granted at once."""
+        """Ask for the lease; returns whether it was granted at once."""
         self._say(LeaseRequest(robot=self.robot, action=LeaseAction.ACQUIRE, client=client))
         return self.token is not None
 

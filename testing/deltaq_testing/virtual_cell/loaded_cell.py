@@ -25,7 +25,7 @@ class LoadedCell:
 
     Attributes:
         model: of the cell.
-        description: what clients are told about it.
+        description: the description for clients.
         file: its YAML file.
     """
 

@@ -1,4 +1,4 @@
-"""What a cell consists of: processes that can die, stand still and start anew, and the links between them."""
+"""The parts of a cell in virtual time: processes that can die, freeze and restart, and the links between them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ T = TypeVar("T")
 
 
 class Process(StrEnum):
-    """What can die, freeze or be slow."""
+    """Processes to which faults apply."""
 
     CONTROLLER = "controller"
     HLI = "hli"
@@ -25,7 +25,7 @@ class Process(StrEnum):
 
 
 class Link(StrEnum):
-    """A wire between two processes; both directions share its fate."""
+    """A wire between two processes; a fault affects both directions."""
 
     CONTROLLER_HLI = "controller-hli"
     HLI_SIM = "hli-sim"
@@ -35,7 +35,7 @@ class Link(StrEnum):
 
 
 class Life(Enum):
-    """Whether a process runs, stands still or is gone."""
+    """State of a process."""
 
     RUNNING = 0
     FROZEN = 1
@@ -43,18 +43,18 @@ class Life(Enum):
 
 
 _RING = 64
-"""Messages that wait for a process that stands still, as the SIM's ring channel keeps them."""
+"""Greatest number of messages that wait for a frozen process, as in the SIM's ring channel."""
 
 
 class VirtualProcess(Generic[T]):
-    """Does what comes while it runs, afterwards what came while it stood still, and nothing once it is dead.
+    """Runs its tasks at once; while frozen it queues them until it is thawed; once dead it drops them.
 
     Args:
-        begin: makes what runs in it, anew at each start.
+        begin: makes the program that runs in it, at each start.
 
     Attributes:
-        core: what runs in it.
-        life: it runs from the beginning.
+        core: the program that runs in it.
+        life: its state; it begins running.
     """
 
     def __init__(self, begin: Callable[[], T]) -> None:
@@ -63,27 +63,27 @@ class VirtualProcess(Generic[T]):
         self.start()
 
     def start(self) -> None:
-        """Start, or start anew."""
+        """Start or restart, with a new core."""
         self.core = self._begin()
         self.life = Life.RUNNING
 
     def kill(self) -> None:
-        """End at once; what waited is lost."""
+        """End at once, and drop the queue."""
         self.life = Life.DEAD
         self._waiting.clear()
 
     def freeze(self) -> None:
-        """Stand still."""
+        """Freeze: queue tasks from now on."""
         self.life = Life.FROZEN
 
     def thaw(self) -> None:
-        """Go on, with what has waited."""
+        """Run the queued tasks, and then further ones at once."""
         self.life = Life.RUNNING
         while self._waiting:
             self._waiting.popleft()()
 
     def do(self, act: Callable[[], None]) -> None:
-        """Something has come, to be done at once, later or never."""
+        """Run a task now; or queue it while frozen, or drop it once dead."""
         if self.life is Life.RUNNING:
             act()
         elif self.life is Life.FROZEN:
@@ -94,7 +94,7 @@ _PERFECT = LinkFaults()
 
 
 class MessageWire:
-    """One direction between two processes; its faults may be set at any time.
+    """One direction of a wire between two processes; its faults may be set at any time.
 
     Args:
         seed: of the link's random numbers.
@@ -109,17 +109,17 @@ class MessageWire:
 
     @property
     def perfect(self) -> bool:
-        """Whether nothing ails it and nothing is under way, so that a message may pass it by, at once and untouched."""
+        """Whether it has no faults and carries no message, so that a message may be delivered directly."""
         return self.link.faults == _PERFECT and self.link.next_s is None
 
     def send(self, now_s: float, message: Message) -> None:
-        """Put a message in."""
+        """Send a message."""
         kind = type(message)
         self._kinds[kind.__name__] = kind
         self.link.put(now_s, kind.__name__.encode() + b"\n" + pack(message))
 
     def take(self, now_s: float) -> list[Message]:
-        """Take out what has arrived by now, in order; what was garbled beyond reading is lost."""
+        """Return the messages that have arrived by now, in order; unreadable ones are dropped."""
         messages = []
         for datagram in self.link.take(now_s):
             name, _, payload = datagram.partition(b"\n")
