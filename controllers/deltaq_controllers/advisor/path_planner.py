@@ -31,11 +31,11 @@ from deltaq_protocol.arrays import Array, Indices
 REACH = 0.3
 """Longest extension of a tree, in any free joint [rad or m]."""
 EXTENSIONS = 24
-"""Extensions tried at once."""
+"""Number of extensions tried at once."""
 TOWARDS = 6
-"""Of these so many go towards nodes of the other tree."""
+"""Number of them that go towards nodes of the other tree."""
 LINKS = 4
-"""Straight paths between the trees that are tried at once."""
+"""Number of straight paths between the trees that are tried at once."""
 
 
 class Tree:
@@ -61,7 +61,7 @@ class Tree:
         return len(self.q)
 
     def add(self, q: Array, parents: Indices, is_sure: bool = False) -> Indices:
-        """Add nodes (k, n); `is_sure` if their edges have been checked over their whole length. Their numbers."""
+        """Add nodes (k, n); `is_sure` if their edges have been checked over their whole length. Returns their numbers."""
         first = len(self.q)
         self.q = np.concatenate([self.q, q])
         self._parent = np.append(self._parent, parents)
@@ -268,7 +268,7 @@ def _reached(space: Space, q: Array, target: Array) -> Array | None:
 ROUNDS = 30
 """How often a tree is grown in search of one path."""
 CHECKED = 2
-"""Of so many configurations of a path one is measured exactly; the gate measures every one that is driven."""
+"""One of this many configurations of a path is measured exactly; the gate measures every one that is driven."""
 ROUNDED = 31
 """Configurations of a path over which a corner is rounded."""
 WIDER = (1.0, 2.0)

@@ -80,7 +80,7 @@ class LiveRun(BaseModel):
 
     @property
     def good(self) -> bool:
-        """Whether all that is promised is kept, and all that was asked was measured."""
+        """Whether all bounds are kept, and all requested figures were measured."""
         return not self.silent and all(row.kept is not False for row in self.rows)
 
 

@@ -22,7 +22,7 @@ _STYLES = ("-", "--", ":", "-.")
 
 
 def html_page(outcomes: Sequence[ScenarioOutcome]) -> str:
-    """The whole page."""
+    """One HTML page that shows each outcome: expectations, events and a plot of the joints."""
     failed = sum(not outcome.good for outcome in outcomes)
     tiles = (("scenarios", len(outcomes)), ("failed", failed))
     summary = "".join(f"<div><dt>{name}</dt><dd>{value}</dd></div>" for name, value in tiles)
@@ -94,7 +94,7 @@ _NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd]")
 
 
 def junit_xml(outcomes: Iterable[ScenarioOutcome]) -> str:
-    """The document."""
+    """A JUnit XML document: each scenario is a suite, each expectation a case."""
     suites = ET.Element("testsuites", name="deltaq fault run")
     for outcome in outcomes:
         failures = sum(not check.finding for check in outcome.checks)
