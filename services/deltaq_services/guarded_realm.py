@@ -37,7 +37,7 @@ _MOST_PATH_BYTES = 100
 
 
 class GuardedRealmError(DeltaqError):
-    """Endpoints that cannot keep strangers out, or an identity that is missing."""
+    """An endpoint is open to other users, or an identity is missing."""
 
 
 def realm_of(cell: CellDescription) -> str | None:
@@ -60,10 +60,10 @@ def guarded_folder(realm: str) -> Path:
 
 
 def guarded_links(cell: CellDescription) -> dict[str, str]:
-    """Where each service of a cell listens, as zenoh has it.
+    """The endpoint of each service of a cell, in zenoh's form.
 
     Raises:
-        GuardedRealmError: an endpoint lets strangers in, or the path of a socket is too long.
+        GuardedRealmError: an endpoint is open to other users, or the path of a socket is too long.
         RuntimeFolderError: the folder of the sockets is not this user's alone.
     """
     if (fault := guarded_fault(cell)) is not None:
@@ -98,7 +98,7 @@ def open_guarded_session(
 
     Args:
         cell: the cell.
-        party: what the service is in the table of topics.
+        party: role of the service in the table of topics.
         service: its name.
         listen: services whose endpoints it listens at: none, or itself.
         connect: services to connect to; lost connections are made again.

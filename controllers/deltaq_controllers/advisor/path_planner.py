@@ -61,7 +61,7 @@ class Tree:
         return len(self.q)
 
     def add(self, q: Array, parents: Indices, is_sure: bool = False) -> Indices:
-        """Add nodes (k, n); `is_sure` if their edges have been checked over their whole length. Returns their numbers."""
+        """Add nodes (k, n); `is_sure` if their edges are checked already. Returns their numbers."""
         first = len(self.q)
         self.q = np.concatenate([self.q, q])
         self._parent = np.append(self._parent, parents)

@@ -62,8 +62,7 @@ class Obstacles(NamedTuple):
 class Repulsion:
     """Repulsion of one robot's bounding spheres from given spheres and from the floor.
 
-    `approach` once per increment finds the spheres that can come into range during it; `field` then looks at
-    those only.
+    `approach` once per increment finds the spheres that can come into range during it; `field` then uses only those.
 
     Args:
         robot: the robot that is pushed.
@@ -124,7 +123,9 @@ class Repulsion:
 
 
 class Floor(NamedTuple):
-    """Its height, and how near to it the centre of a sphere touches it, (m,); -inf for those that never do [m]."""
+    """Height of the floor, and the centre height (m,) at which each sphere touches it; -inf for spheres that never
+    do [m].
+    """
 
     height: float
     reach: Array

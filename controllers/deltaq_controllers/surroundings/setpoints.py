@@ -1,9 +1,8 @@
-"""Where another robot will be: its setpoints, carried on as they go.
+"""Prediction of another robot's setpoints, by extrapolation.
 
-A setpoint is what the gate has admitted. It is exact, and the drives reach it only later, as late as the follower's
-own: of two robots whose drives lag alike the one looks at the other at any time, if its setpoints look at the other's.
-So all that is to be foreseen is the time from the setpoint that is known to the one that is asked for. Where the other
-robot's drives lag more, that is a setpoint of the past.
+A setpoint is exact, and the drives reach it some time later. If the drives of both robots lag alike, the camera
+looks at the other robot whenever its setpoints look at the other's setpoints. So only the time from the newest known
+setpoint to the requested one has to be predicted. If the other robot's drives lag more, a past setpoint is needed.
 """
 
 from __future__ import annotations
@@ -43,13 +42,13 @@ class OtherRobots:
         self._bodies = {name: PlacedSpheres(self._robots[name]) for name in self._others}
 
     def update(self, view: View) -> None:
-        """Add what was seen."""
+        """Add a view of the cell."""
         for name, other in view.others.items():
             if name in self._others:
                 self._others[name].update(view.own, other)
 
     def named(self, name: str) -> Foreseen:
-        """One of them."""
+        """The prediction of one robot."""
         return self._others[name]
 
     def ahead(self, time_s: float = 0.0) -> dict[str, Array]:
@@ -57,7 +56,9 @@ class OtherRobots:
         return {name: other.ahead(time_s) for name, other in self._others.items() if other.setpoints.started}
 
     def spheres_ahead(self, time_s: float) -> tuple[Array, Array]:
-        """Centres (k, 3) and radii (k,) of their bounding spheres, a time after the next increment [m]."""
+        """Centres (k, 3) and radii (k,) of the other robots' bounding spheres, `time_s` after the next increment
+        [m].
+        """
         expected = self.ahead(time_s)
         centres = [self._bodies[name].at(joints) for name, joints in expected.items()]
         return np.concatenate(centres), np.concatenate([self._bodies[name].radii for name in expected])
@@ -83,13 +84,13 @@ class OtherRobots:
 STALE_S = 0.1
 """Age of a view beyond the link's usual delay, above which it is stale: its motion fades."""
 LOST_S = 1.0
-"""The same, from which on the other robot is lost: it is taken to stand where it was foreseen last."""
+"""The same, above which the other robot is lost: its last predicted setpoint is kept."""
 _ACCELERATION_S = 0.03
 """Time for which an unobserved acceleration is assumed to last."""
 _STEADY_S, _VELOCITY_S = 0.15, 0.3
 """Times for which an unobserved velocity is assumed to stay, and then to decay."""
 _PAST_S = 0.3
-"""For how long setpoints are kept: drives that lag longer are not driven."""
+"""Time for which setpoints are kept; no supported drive lags longer."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,7 @@ class SetpointTracker:
         return self._known is not None
 
     def update(self, view: RobotView) -> None:
-        """Add what was seen; a cycle that was seen before changes nothing."""
+        """Add a view of the robot; a repeated cycle changes nothing."""
         known, q_cmd = self._known, np.array(view.q_cmd, dtype=np.float64)
         elapsed_s = 0.0 if known is None else (view.cycle - known.cycle) * self._cycle_s
         if known is not None and elapsed_s == 0.0:
@@ -141,7 +142,7 @@ class SetpointTracker:
         self.velocity = mean + 0.5 * self._cycle_s * self._acceleration
 
     def ahead(self, time_s: float) -> Array:
-        """(n,) setpoint expected `time_s` after the newest that is known, or sent before it [rad or m].
+        """(n,) predicted setpoint `time_s` after the newest known one; a past one if negative [rad or m].
 
         The farther ahead, the less of the acceleration counts, and then of the velocity.
         """
@@ -167,7 +168,7 @@ class SetpointTracker:
 
 
 class Foreseen:
-    """Where another robot's setpoints will be when the next increment of the own one takes effect.
+    """Predicts another robot's setpoint at the time when the own robot's next increment takes effect.
 
     Both views are stamped on one clock, wherever their Robot Servers are (`deltaq_controllers.robot_clocks`).
 
@@ -177,8 +178,8 @@ class Foreseen:
         cycle_s: cycle of both [s].
 
     Attributes:
-        setpoints: those that were seen.
-        age_s: by how much the other robot's state is older than the own one [s].
+        setpoints: the known setpoints.
+        age_s: age of the other robot's state relative to the own one [s].
     """
 
     def __init__(self, other: RobotModel, own: RobotModel, cycle_s: float) -> None:
@@ -214,7 +215,7 @@ class Foreseen:
 
 
 def lag_s(lag: ServoLag) -> float:
-    """By how much drives are behind a setpoint that moves evenly [s]."""
+    """Lag of drives behind a setpoint of constant speed [s]."""
     return lag.dead_time_s + 2.0 * lag.damping / lag.natural_frequency_rad_s
 
 

@@ -14,7 +14,7 @@ class BenchRow(BaseModel):
     Each ratio is one by one: median by median, p99 by p99, p99.9 by p99.9, longest by longest.
 
     Attributes:
-        kept: whether every bound is kept; None where nothing is promised.
+        kept: whether every bound is kept; None without bounds.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -28,7 +28,7 @@ class BenchRow(BaseModel):
     p99_9_ratio: float
     longest_ratio: float
     at_most: float | None = None
-    """Bound of the median ratio; None, here and below: nothing is promised."""
+    """Bound of the median ratio; None, here and below: no bound."""
     p99_at_most: float | None = None
     p99_9_at_most: float | None = None
     longest_at_most: float | None = None
@@ -65,7 +65,7 @@ class BenchRow(BaseModel):
 
     @property
     def bounds(self) -> dict[str, tuple[float, float]]:
-        """What is promised: per name of a figure its ratio and its bound."""
+        """Ratio and bound of each bounded figure, by its name."""
         named = {
             "median": (self.median_ratio, self.at_most),
             "p99": (self.p99_ratio, self.p99_at_most),

@@ -51,7 +51,7 @@ class HliCore(Part):
 
     Args:
         cell: description of the cell.
-        told: the cell's description for clients.
+        description: the cell's description for clients.
         tool_pose: pose of a robot's tool from its name and its n joints `q` [rad or m].
         new_token: makes a secret, different each time.
         first_epoch: greater than any lease epoch or command id used before, as far as that can be known.

@@ -52,7 +52,7 @@ class Hli:
 
     Args:
         cell: description of the cell.
-        told: the cell's description for clients.
+        description: the cell's description for clients.
         tool_pose: pose of a robot's tool from its name and its n joints `q` [rad or m].
         roles: of clients; None: every client is an operator.
         encryption: of the lines over TCP; None: they are in the clear.

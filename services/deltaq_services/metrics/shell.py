@@ -28,14 +28,14 @@ _KEPT = 64
 
 
 class Delays:
-    """Of one robot; the shell passes the time in."""
+    """Delays of one robot's messages; the caller passes the times."""
 
     def __init__(self) -> None:
         self._came: OrderedDict[int, float] = OrderedDict()
         self._last_s: float | None = None
 
     def state(self, cycle: int, time_s: float) -> float | None:
-        """A state has come; returns the time since the one before it [s], None for the first."""
+        """Take a state; returns the time since the one before it [s], None for the first."""
         interval_s = None if self._last_s is None else time_s - self._last_s
         self._last_s = self._came[cycle] = time_s
         if len(self._came) > _KEPT:

@@ -1,4 +1,4 @@
-"""The Robot Server's side of the brake after its own death: it starts the process for that, and leaves records."""
+"""The Robot Server's side of the crash brake: starts the process that brakes after its death, and writes records."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class CrashRecordMaker:
 
     Args:
         plan: of the robot.
-        rsi: its driver, which is only looked at.
+        rsi: its driver, which is only read.
         outputs: names of its digital outputs, in the order of the cell.
     """
 
@@ -89,7 +89,7 @@ _PROCESS = "deltaq_services.robot_server.crash_brake.process"
 
 
 class CrashWatch:
-    """One process, and the memory shared with it; a context manager that lets it end.
+    """The crash brake's process and shared memory; a context manager that ends both.
 
     Left without an error, the process does nothing; left with an error, it brakes the robot. A process that has
     ended or was stopped is replaced; see `ready` and `mend`.
@@ -196,12 +196,12 @@ class CrashWatch:
 
     @property
     def pid(self) -> int:
-        """The process."""
+        """Id of the crash brake's process."""
         return self._process.pid
 
     @property
     def longest_s(self) -> float:
-        """Longer than that no robot brakes: every cycle of a brake may come after all but a KRC's timeout."""
+        """Upper bound of a brake's duration [s]: every cycle of it may take almost a KRC's timeout."""
         return 10.0 * self._plan.silence_s + 1.0
 
     @property
@@ -212,7 +212,7 @@ class CrashWatch:
         return f"the process that brakes the robot if this one dies {self._fault() or 'is starting'}"
 
     def write(self, body: bytes | None, peer: Address, time_s: float) -> None:
-        """Leave a record of the reply that is about to be sent; None: no process could continue from it."""
+        """Write the record of the reply that is about to be sent; None if no process could continue from it."""
         if body is None:
             self._memory.clear()
         else:
