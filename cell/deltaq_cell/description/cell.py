@@ -123,4 +123,4 @@ class CellDescription(DescriptionModel):
     lease_s: Positive = 1.0
     """How long a lease lasts while its holder is silent; any message of the holder renews it."""
     max_playout_s: Annotated[float, Field(gt=0, le=5)] = 1.0
-    """How long an increment may be under way and wait for its turn, where a lease asks for a playout buffer."""
+    """How long an increment may be under way and wait for its turn, where a lease asks for a jitter buffer."""

@@ -3,9 +3,9 @@
     sight      (n . J_v) dq = step((margin - d) / (1 - s))
 
 d is the distance between the line from lens to focus and a body beside it, s how far along the line that is, and n the
-way that clears it, square to the line. To move the line by some distance at s, the lens has to move 1 / (1 - s) times
+direction that clears it, perpendicular to the line. To move the line by some distance at s, the lens has to move 1 / (1 - s) times
 as far. The margin is half the distance between the eyes, less the farther along, so that both eyes see, and a little
-more. Of all bodies the one counts that asks for the longest way. Angle and distance leave the lens two degrees of
+more. Of all bodies the one that needs the longest displacement counts. Angle and distance leave the lens two degrees of
 freedom, on a sphere round the focus; this task uses them.
 """
 
@@ -28,11 +28,11 @@ class SightGains(NamedTuple):
 
     Attributes:
         clear_m: least distance of both eyes' lines from a body [m].
-        share: part of the lens' way that a cycle takes, near the goal.
+        share: part of the lens' displacement that a cycle takes, near the goal.
         most_m_s2: deceleration of the lens that is counted on [m/s^2].
         slow_m_s: a lens that moves aside no faster than this gets no farther [m/s].
         stalled_s: time after which such a lens tries the other side [s].
-        weight: of the squared mm of the lens' way; a third of the view distance's. Chosen with seeds 20 to 27: with a
+        weight: of the squared mm of the lens' displacement; a third of the view distance's. Chosen with seeds 20 to 27: with a
             third of it both eyes saw less, with three times as much the distance was lost more.
     """
 
@@ -45,10 +45,10 @@ class SightGains(NamedTuple):
 
 
 class Side:
-    """To which side the lens moves: the nearer one, until it is clear or the lens gets no farther.
+    """The side to which the lens moves: the nearer one, until the view is clear or the lens is blocked.
 
     Args:
-        gains: say when it gets no farther.
+        gains: define when the lens is blocked.
     """
 
     def __init__(self, gains: SightGains) -> None:
@@ -57,14 +57,14 @@ class Side:
         self._stalled_s = 0.0
 
     def clear(self) -> None:
-        """Nothing hides the target."""
+        """Note that the target is visible."""
         self._aside, self._stalled_s = None, 0.0
 
     def chosen(self, nearer: Array, moved: Array, cycle_s: float) -> Array:
         """(3,) unit vector, square to the line of sight.
 
         Args:
-            nearer: (3,) the nearer way that clears it.
+            nearer: (3,) the nearer direction that clears it.
             moved: (3,) how the lens moved in the last cycle [m].
             cycle_s: the cycle [s].
         """
@@ -81,7 +81,7 @@ class Side:
 
 
 class ClearViewFollower(QpFollower):
-    """Arguments and attributes as of `QpFollower`."""
+    """The follower `QpFollower` with the task that keeps the line of sight clear; same arguments and attributes."""
 
     def _warm_up(self) -> None:
         self._sight = SightGains()

@@ -123,8 +123,11 @@ class Repulsion:
 
 
 class Floor(NamedTuple):
-    """Height of the floor, and the centre height (m,) at which each sphere touches it; -inf for spheres that never
-    do [m].
+    """The floor, and the spheres that can touch it.
+
+    Attributes:
+        height: of the floor [m].
+        reach: (m,) height above it at which each sphere's centre touches it; -inf for spheres that never do [m].
     """
 
     height: float

@@ -1,4 +1,4 @@
-"""Which bodies of a cell are near a robot, how near, and how its joints and the others' change that.
+"""The bodies near a robot, their distances, and the derivatives of these by all joints of the cell.
 
 All robots of the cell are one pinocchio model, so that the rate of a distance is one row over all joints: with n
 the unit vector from the other body's nearest point b to the own body's nearest point a,
@@ -68,7 +68,7 @@ def go_to(
 def note_distances(
     pairs: Indices, distances: Array, one: Indices, other: Indices, travel: Array, at_least: Array
 ) -> None:
-    """Note distances (k,) of pairs as bounds of them, from where their bodies have travelled to."""
+    """Store measured distances (k,) of pairs, so that later travel gives lower bounds of them."""
     for k in range(len(pairs)):
         pair = pairs[k]
         at_least[pair] = distances[k] + travel[one[pair]] + travel[other[pair]]
@@ -117,7 +117,7 @@ def _ranges_of_nearer(ranges: Array, reported: Indices, distances: Array, most: 
 
 @compiled
 def nearest(ranges: Array, pairs: Indices, distances: Array, most: int) -> Indices:
-    """Places of those of `pairs` (k,) in range, the least fraction of their range first, and `most` of them at most."""
+    """Indices of at most `most` of the `pairs` (k,) in range, the least fraction of their range first."""
     # of two equal pairs the one that is first in the list of all pairs comes first
     order = np.argsort(pairs, kind="mergesort")
     shares = distances / np.maximum(ranges[pairs], _LEAST_RANGE_M)
@@ -145,7 +145,7 @@ def rows_of(
         points: (k, 2, 3) nearest points of each [m].
         normals: (k, 3) where it touches coal's normal, first to second body.
         distances: (k,) of these points [m].
-        columns: (6, m) velocities of what the joints carry, at the world's origin.
+        columns: (6, m) unit twists of the joints, at the world's origin.
         one: (p,) the first body of each pair.
         other: (p,) the second.
         moves: (bodies, m) 1 where a joint moves a body.
@@ -192,7 +192,7 @@ class NearPairs(NamedTuple):
 
 
 class Neighbours:
-    """Measures how near a robot's bodies are to everything else and to one another.
+    """Measures distances of a robot's bodies to all other bodies and to one another.
 
     Args:
         cell: the cell.
@@ -247,14 +247,14 @@ class Neighbours:
         self._reported: Indices = np.zeros(0, dtype=np.intp)
 
     def near(self, q: Array, ranges: Array) -> NearPairs:
-        """What is near at a configuration, as a fraction of the range.
+        """The nearest pairs at a configuration, ordered by distance over range.
 
         Ordered by distance less range, the many bodies of an approaching robot, which matter from afar, would
         displace the floor.
 
         Args:
             q: (m,) joints of all robots of the cell, in its order [rad or m].
-            ranges: (p,) distance of each pair from which on it matters [m].
+            ranges: (p,) distance of each pair below which it matters [m].
         """
         self._place(q)
         reported = self._reported

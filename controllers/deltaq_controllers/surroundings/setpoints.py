@@ -56,9 +56,7 @@ class OtherRobots:
         return {name: other.ahead(time_s) for name, other in self._others.items() if other.setpoints.started}
 
     def spheres_ahead(self, time_s: float) -> tuple[Array, Array]:
-        """Centres (k, 3) and radii (k,) of the other robots' bounding spheres, `time_s` after the next increment
-        [m].
-        """
+        """Centres (k, 3), radii (k,) of others' bounding spheres `time_s` after the next increment [m]."""
         expected = self.ahead(time_s)
         centres = [self._bodies[name].at(joints) for name, joints in expected.items()]
         return np.concatenate(centres), np.concatenate([self._bodies[name].radii for name in expected])
@@ -204,7 +202,7 @@ class Foreseen:
         return math.exp(-max(self._ahead_s - _STEADY_S, 0.0) / _VELOCITY_S) * self.setpoints.velocity
 
     def update(self, own: RobotView, other: RobotView) -> None:
-        """Add what was seen."""
+        """Add a view of the cell."""
         self.setpoints.update(other)
         self.age_s = own.time_s - other.time_s
         self._ahead_s = self.age_s + (own.ahead_cycles + 1) * self._cycle_s + self._later_s

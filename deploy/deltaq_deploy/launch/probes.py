@@ -1,4 +1,4 @@
-"""Asking one service whether it is healthy, as its row of the table says."""
+"""Health checks of single services, by the kind of probe in the table of services."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ TIMEOUT_S = 3.0
 
 
 class NoProbeError(DeltaqError):
-    """A service that cannot be asked."""
+    """The service has no health check."""
 
 
 class _Panel(BaseModel):
@@ -54,7 +54,7 @@ def probe(service: Service, cell: CellDescription) -> ProbeAnswer:
 
     Raises:
         ServiceUnreachableError: if it does not answer within `TIMEOUT_S`.
-        NoProbeError: if it has nothing to be asked at.
+        NoProbeError: if it has no health check.
         GuardedRealmError: if it answers in a guarded realm that cannot be entered.
         RuntimeFolderError: if the folder of the sockets is not this user's alone.
     """
