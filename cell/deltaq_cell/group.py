@@ -108,7 +108,7 @@ class Group:
             self._coal[1].activateCollisionPair(index)
 
     def measured(self) -> dict[int, Nearest]:
-        """Every pair that is not left out, by index, as `least` measured it; for the rare case that asks for all."""
+        """Every pair that is not left out, by index, as `least` measured it; slower than `nearest`."""
         return {index: self._measured(index) for index in np.flatnonzero(self.active).tolist()}
 
     def nearer(self, distance_m: float) -> list[int]:
@@ -129,9 +129,9 @@ class Group:
 def make_reproducible(data: Any) -> None:
     """Make distances depend only on the bodies and their poses.
 
-    GJK's cached guess is switched off, with which a distance depends on the queries before it. And coal's support of a
-    box keeps for the life of the process whether the first direction that it was asked for had a zero in it; if so,
-    boxes are taken for 1e-10 of their size larger. It is asked for one without zeros first, so that they never are.
+    It switches off GJK's cached guess, which makes a distance depend on earlier queries. And coal's support function
+    of a box remembers whether its first direction had a zero component, and then enlarges boxes by 1e-10 of their
+    size. A first call without zeros prevents that.
     """
     _ask_boxes_for_a_slanting_direction()
     with warnings.catch_warnings():
@@ -174,14 +174,14 @@ class PairedGroups(list[Group]):
 
 
 def pairs_alone(listed: PairedGroups, open_: Integers) -> PairedGroups:
-    """Some pairs of a list, without the others of their groups."""
+    """A list of some pairs, without the other pairs of their groups."""
     first, second, stop_m, active = listed.pairs
     pairs = Pairs(first[open_], second[open_], stop_m[open_], active[open_])
     return PairedGroups([], listed.numbers[open_], listed.group[open_], pairs, listed.of)
 
 
 def part_of(listed: PairedGroups, open_: Integers) -> PairedGroups:
-    """The groups of some pairs of a list, each with all its pairs."""
+    """A list of the groups of some pairs, each with all its pairs."""
     failing = np.zeros(len(listed.of), dtype=bool)
     failing[listed.group[open_]] = True
     groups = [listed.of[index] for index in np.flatnonzero(failing).tolist()]

@@ -35,7 +35,7 @@ class Client {
     try { release(); } catch (const std::runtime_error&) {}  // the server has gone: the robot comes to rest by itself
   }
   /// Take the lease of a robot. next_state() and send() renew it; whoever computes for longer calls renew() meanwhile.
-  /// With a playout buffer from farther away than a cycle; then use ahead() and cycles_to_answer().
+  /// With a jitter buffer from farther away than a cycle; then use ahead() and cycles_to_answer().
   void acquire(const std::string& robot, bool playout = false) {
     std::string has = "unknown_robot: cell " + welcome["cell"].text + " has no robot '" + robot + "'; it has";
     for (const auto& one : welcome["robots"].fields) has += " " + one.first;
@@ -55,9 +55,9 @@ class Client {
     if (in_flight_) in_flight_->take_state(newest());
     return newest();
   }
-  /// With a playout buffer: the setpoint (n) that the next increment is added to [rad or m].
+  /// With a jitter buffer: the setpoint (n) that the next increment is added to [rad or m].
   std::vector<double> ahead() const { return in_flight_.value().ahead(); }
-  /// With a playout buffer: the cycles for which to send now.
+  /// With a jitter buffer: the cycles for which to send now.
   std::vector<double> cycles_to_answer() const { return in_flight_.value().cycles_to_answer(); }
   /// Ask for an increment [rad or m] in answer to the newest state that has come, however long it was computed.
   long send(const std::vector<double>& dq) {

@@ -56,7 +56,7 @@ export class Client {
     });
     this.#tick(SILENCE_MS / 4);
   }
-  /** Take the lease of a robot; it is renewed until the connection is closed. With a playout buffer from far away. */
+  /** Take the lease of a robot; it is renewed until the connection is closed. With a jitter buffer from far away. */
   async acquire(robot, { playout = false } = {}) {
     const { cell, robots } = this.welcome;
     if (!(robot in robots)) throw new Error(`unknown_robot: cell ${cell} has no robot '${robot}'; it has ${Object.keys(robots).join(", ")}`);
@@ -74,9 +74,9 @@ export class Client {
       this.#inFlight?.takeState(seen);
     }
   }
-  /** With a playout buffer: the setpoint (n) that the next increment is added to [rad or m], for a state of `states`. */
+  /** With a jitter buffer: the setpoint (n) that the next increment is added to [rad or m], for a state of `states`. */
   ahead(state) { return this.#inFlight.ahead(state); }
-  /** With a playout buffer: the cycles for which to `send` now. */
+  /** With a jitter buffer: the cycles for which to `send` now. */
   cyclesToAnswer() { return this.#inFlight.cyclesToAnswer(); }
   /** The newest state of any robot; undefined before the first. */
   newest(robot) { return this.#newest[robot]; }

@@ -1,4 +1,4 @@
-// What a controller far away has sent and no state shows yet, where its lease has a playout buffer.
+// Increments in flight: sent, and not yet visible in a state, with a jitter buffer.
 //
 // Arithmetic without a clock: states say which increments their setpoint has, so no verdict has to come.
 

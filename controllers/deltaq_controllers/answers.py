@@ -28,7 +28,7 @@ from deltaq_protocol.opening import Opening
 
 
 async def lease(cell: Cell, robot: str) -> Opening[LeasedRobot]:
-    """A lease for `Answers`: with a playout buffer, if the way there and back is longer than answers may take.
+    """A lease for `Answers`: with a jitter buffer if the round trip takes longer than answers may.
 
     Raises:
         RefusedError: the cell has no such robot.

@@ -25,7 +25,7 @@ from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Outcome, Phase, Playout, RobotState, Verdict
 
 MOST_MISSED = 4
-"""States that a controller still answers if it has a playout buffer; answers to older ones come too late."""
+"""Number of states that a controller still answers with a jitter buffer; answers to older ones are too late."""
 
 PATIENCE_CYCLES = 4
 """An increment without a verdict so many cycles after its setpoint could have been sent is given up."""

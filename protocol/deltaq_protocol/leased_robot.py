@@ -78,7 +78,7 @@ class SentVerdicts:
 # repeats.
 
 REPEATED = 2
-"""Increments that each one repeats where the lease has a playout buffer: of links that lose a packet in a hundred,
+"""Earlier increments that each message repeats with a jitter buffer: of links that lose a packet in a hundred,
 three in a row are lost once in three hours."""
 
 

@@ -28,7 +28,7 @@ _LENGTH_BYTES = 8
 
 
 class Prover:
-    """Makes proofs with one secret; any thread may.
+    """Makes proofs with one secret; callable from any thread.
 
     Args:
         secret: a lease's, as its reply has it, or the operator's token.

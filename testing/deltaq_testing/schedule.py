@@ -49,12 +49,12 @@ class TimedFault:
 
     @property
     def end_s(self) -> float:
-        """When it is lifted [s]."""
+        """Time at which it ends [s]."""
         return self.at_s + self.for_s
 
     @property
     def parts(self) -> frozenset[str]:
-        """What of the cell it changes for as long as it stands."""
+        """The parts of the cell that it changes while it lasts."""
         match self.what.action:
             case Kill(process) | Freeze(process) | BeginInThePast(process, _):
                 return frozenset({f"the {process}"})
@@ -81,7 +81,7 @@ class TimedFault:
     __repr__ = __str__
 
     def as_dict(self) -> dict[str, Any]:
-        """As a scenario has it."""
+        """The fault as a scenario file has it."""
         return {"fault": self.what.name, "at_s": self.at_s, "for_s": self.for_s}
 
 
@@ -96,10 +96,10 @@ def fault(name: str, *, at_s: float, for_s: float = FOR_S) -> TimedFault:
         name: as `deltaq fault list` shows it; underscores may stand for hyphens, and `link` for `controller-hli`, the
             link of the controller that is tested.
         at_s: when it begins [s] after the controller was connected; 0 or later.
-        for_s: how long it stands [s]; more than 0.
+        for_s: its duration [s]; more than 0.
 
     Raises:
-        UnknownFaultError: there is no such fault; the message names those that there are.
+        UnknownFaultError: there is no such fault; the message names the existing ones.
         ScheduleError: it does not exist in virtual time, or a time is out of its bounds.
     """
     row = fault_named(name)

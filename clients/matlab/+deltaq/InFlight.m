@@ -9,7 +9,7 @@ classdef InFlight < handle
         q = [];            % (n,1) setpoint that the newest state tells [rad or m]
         dq = [];           % (n,1) increment that led to it
         answered = -1;     % newest cycle that was answered
-        playout = [];      % of the newest state, where the lease has a playout buffer
+        playout = [];      % of the newest state, where the lease has a jitter buffer
     end
 
     properties (SetAccess = private)

@@ -2,8 +2,9 @@
 
     sight      (n . J_v) dq = step((margin - d) / (1 - s))
 
-d is the distance between the line from lens to focus and a body beside it, s how far along the line that is, and n the
-direction that clears it, perpendicular to the line. To move the line by some distance at s, the lens has to move 1 / (1 - s) times
+d is the distance between a body and the line from lens to focus, s the position on the line (0 to 1), and n the
+direction that clears it, perpendicular to the line. To move the line by some distance at s, the lens has to move 1 /
+(1 - s) times
 as far. The margin is half the distance between the eyes, less the farther along, so that both eyes see, and a little
 more. Of all bodies the one that needs the longest displacement counts. Angle and distance leave the lens two degrees of
 freedom, on a sphere round the focus; this task uses them.
@@ -32,8 +33,8 @@ class SightGains(NamedTuple):
         most_m_s2: deceleration of the lens that is counted on [m/s^2].
         slow_m_s: a lens that moves aside no faster than this gets no farther [m/s].
         stalled_s: time after which such a lens tries the other side [s].
-        weight: of the squared mm of the lens' displacement; a third of the view distance's. Chosen with seeds 20 to 27: with a
-            third of it both eyes saw less, with three times as much the distance was lost more.
+        weight: of the squared mm of the lens' displacement; a third of the view distance's. Chosen with seeds 20 to
+            27: with a third of it both eyes saw less, with three times as much the distance was lost more.
     """
 
     clear_m: float = 0.01

@@ -119,7 +119,7 @@ class Phase(StrEnum):
 class Outcome(StrEnum):
     """Outcome of an increment; `unknown` is never sent: a client uses it where no verdict came.
 
-    `carried` has no cycle of its own: it came to the playout buffer after its turn, and its motion goes out with the
+    `carried` has no cycle of its own: it came to the jitter buffer after its turn, and its motion goes out with the
     increments behind it (`Playout`).
     """
 

@@ -96,7 +96,7 @@ class Seat:
     def answered(
         self, request: driving.DriverRequest, answer: driving.DriverAnswer, new: Callable[[], str]
     ) -> Handled:
-        """The driver has taken or released the robot, or could not."""
+        """Take the driver's answer: it has taken or released the robot, or could not."""
         if isinstance(request, driving.Take) and self._stage is _Stage.TAKING:
             if answer.done and self.holder is not None:
                 self._stage = _Stage.HELD
@@ -111,7 +111,7 @@ class Seat:
         return Handled()
 
     def lost(self, why: str) -> bool:
-        """The driver holds the lease no more; returns whether it was held."""
+        """Note that the driver has lost the lease; returns whether it was held."""
         was_held = self._stage is _Stage.HELD
         if was_held and self.holder is not None:
             self.text = f"{self.holder.name} has lost control: {why}"
@@ -119,7 +119,7 @@ class Seat:
         return was_held
 
     def driver_ended(self) -> None:
-        """The driver's process is gone, and the lease with it."""
+        """Note that the driver's process has ended, and the lease with it."""
         self._stage, self.holder, self._next = _Stage.FREE, None, None
 
     def _take(self, client: Client, request: Callable[[], str], by_force: bool = False) -> Handled:

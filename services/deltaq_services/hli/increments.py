@@ -27,7 +27,7 @@ class Increments:
     def on_increment(self, increment: Increment, sender: Sender | None, time_s: float) -> list[Output]:
         """A controller asks for an increment; it goes to the gate now, with the next state, or is refused.
 
-        Where there is a playout buffer, those before it come with it that have not come themselves.
+        With a jitter buffer, earlier increments that were lost come with it.
         """
         outputs = self._state.tick(time_s)
         lease, link = self._lease_and_link(increment)

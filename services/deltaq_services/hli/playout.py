@@ -1,4 +1,4 @@
-"""A playout buffer: increments of a controller far away wait here for their turn, one a cycle.
+"""A jitter buffer: increments of a distant controller wait here for their turn, one a cycle.
 
 On a long way increments come unevenly: none in one cycle, three in the next. Each would be the newest for a moment, the
 robot would brake in the gaps, and most of the motion would be lost. So each waits until as many cycles have passed

@@ -66,7 +66,7 @@ class VirtualController:
         self._asked_cycle = -_RETRY_CYCLES
 
     def take(self, message: Message) -> None:
-        """A message of the HLI has come."""
+        """Take a message of the HLI, and answer it."""
         self._told(message)
         if isinstance(message, LeaseReply):
             # one that was refused may answer a request that was overtaken by the one that was granted
@@ -94,7 +94,7 @@ class VirtualController:
 
 
 def misbehaved(how: Misbehaviour | None, cycle: int, dq: Any) -> Iterator[Any]:
-    """What is sent in place of an increment (n,) [rad or m] in answer to a cycle."""
+    """The values sent in place of an increment (n,) [rad or m] under a misbehaviour."""
     match how:
         case Misbehaviour.EVERY_FOURTH if cycle % 4:
             return
@@ -116,7 +116,7 @@ def increment_of(data: dict[str, Any], token: str | None) -> Increment | Invalid
 
 
 def plain(dq: Any) -> Any:
-    """What a controller returned, as it goes over a wire: the HLI judges whether that is an increment."""
+    """A controller's result in the form of a message, unchecked: the HLI checks it."""
     if isinstance(dq, np.ndarray):
         return dq.tolist()
     return (

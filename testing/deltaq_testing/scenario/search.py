@@ -58,7 +58,10 @@ def shortest_failure(
 
 
 def with_faults(scenario: Scenario, faults: Sequence[TimedFault]) -> Scenario:
-    """The scenario with these faults in place of its own; rest, reasons and phase, which were theirs, are not asked."""
+    """The scenario with these faults in place of its own.
+
+    Expectations about rest, reasons and phase belong to the old faults and are dropped.
+    """
     entries = [
         FaultEntry(fault=timed.what.name, at_s=round(timed.at_s, 6), for_s=round(timed.for_s, 6))
         for timed in faults

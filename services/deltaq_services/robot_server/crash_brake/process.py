@@ -1,8 +1,8 @@
-"""The process beside a Robot Server that brakes its robot should it die: `python -m` this, with its arguments.
+"""The process that brakes a robot if its Robot Server dies, started with `python -m`.
 
-They are two descriptors and the robot's name.
+Its arguments are two descriptors and the robot's name.
 It shares the Robot Server's socket and the memory with its records, loads neither numpy nor zenoh, and sleeps until the
-mutex is passed on to it. It holds nothing else, takes no signal that asks it to end, and ends by itself.
+mutex is passed on to it. It holds nothing else, ignores signals that ask it to end, and ends by itself.
 """
 
 from __future__ import annotations
