@@ -77,8 +77,8 @@ NOT_RUN = {
     "two-sites.md": [
         "a picture",
         *["needs two machines; tests/live/test_two_sites.py does it"] * 4,
-        "takes a minute; tests/experiments/test_far_controllers.py runs shorter ones",
-        "needs root and takes a minute; tests/live/test_far_bounds.py runs it for each row",
+        "needs a clone and a minute; tests/experiments/test_far_controllers.py runs shorter ones",
+        "needs a clone, root and a minute; tests/live/test_far_bounds.py runs it for each row",
     ],
     "lead-by-another-robot.md": [
         "waits for keys; tests/controllers/test_master.py leads a robot through the gate",
@@ -91,9 +91,10 @@ NOT_RUN = {
         "steps of a script; tests/deploy/command/test_drive.py runs the like",
     ],
     "faults.md": [
-        "takes some minutes; tests/verification runs every fault",
-        "takes a quarter of an hour; tests/live run its parts",
+        "takes some minutes; tests/testing/test_cell_under_test.py injects every fault",
+        "needs a clone and a quarter of an hour; tests/testing/test_faults_live.py runs its parts",
     ],
+    "measure.md": ["needs a clone; tests/testing/test_conservatism.py runs it"],
     "find-the-bug.md": ["installs from a package index"],
     "install.md": ["installs from a package index"],
     "train-a-policy.md": ["installs from a package index"],
@@ -190,6 +191,14 @@ def test_every_block_of_a_page_says_what_a_reader_does_with_it(page: Path) -> No
     reasons = [step.argument for step in steps if step.kind == "not run"]
     assert reasons == NOT_RUN.get(page.name, [])
     assert all(reasons)
+
+
+def test_every_test_that_runs_a_block_in_place_of_these_exists() -> None:
+    named = re.findall(
+        r"tests/[\w/.]+", " ".join(reason for reasons in NOT_RUN.values() for reason in reasons)
+    )
+    assert named
+    assert [name for name in named if not (ROOT / name).exists()] == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
