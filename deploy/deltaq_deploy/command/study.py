@@ -328,11 +328,11 @@ def show(table: BenchTable) -> None:
 def _live(options: LiveOptions, runs: int, json: bool) -> bool:
     from deltaq_deploy.command.console import console, print_json, progress_bar, shown_compiled_ahead
     from deltaq_deploy.launch.prepare import Needed
-    from deltaq_experiments.bench.live import run_once
+    from deltaq_experiments.bench.live import BARE_S, run_once
 
     output = console(sys.stderr)
     told: list[LiveRun] = []
-    length_s = options.warm_up_s + options.duration_s
+    length_s = options.warm_up_s + options.duration_s + BARE_S
     with shown_compiled_ahead(Needed([options.follower])):
         for number in range(1, runs + 1):
             with progress_bar(f"run {number} of {runs}") as move:
@@ -391,6 +391,12 @@ def show_run(run: LiveRun, number: int) -> None:
         ("process", "µs", "wake-ups"),
         [(name, f"{us:.0f}", _text(run.wakeups[name], 1)) for name, us in spent],
     )
+    title = f"run {number}: the same messages in bare Python"
+    print_table(
+        title,
+        ("process", "µs", "wake-ups"),
+        [(name, f"{us:.0f}", _text(run.bare.wakeups[name], 1)) for name, us in run.bare.processor_us.items()],
+    )
     figures = [
         (
             row.what,
@@ -402,7 +408,7 @@ def show_run(run: LiveRun, number: int) -> None:
         )
         for row in run.rows
     ]
-    print_table(f"run {number}: figures", ("what", "here", "C, same hops", "ratio", "bound", ""), figures)
+    print_table(f"run {number}: figures", ("what", "here", "reference", "ratio", "bound", ""), figures)
     for process in run.silent:
         print(f"{process} left no stamps: its stations are missing")
     if run.overwritten:

@@ -19,6 +19,7 @@ from deltaq_deploy.launch.child_process import Exited
 from deltaq_deploy.launch.launcher import Interrupted, Launcher, describe_exit
 from deltaq_deploy.launch.program import LaunchError, LaunchInterruptedError
 from deltaq_deploy.launch.services import Role, Service, cell_services, demo_controllers
+from deltaq_experiments.bench.bare_chain import BareChain, bare_rows, measured
 from deltaq_experiments.bench.hop_reference import (
     HopTimes,
     hop_reference,
@@ -33,6 +34,8 @@ from deltaq_protocol.stamps import FOLDER, WrittenStamps, read_stamps
 
 STAMPING = (Role.ROBOT_SERVER, Role.SIM, Role.HLI, Role.LEADER, Role.FOLLOWER)
 """Services that write stamps when they end."""
+BARE_S = 10.0
+"""Longest measurement of the bare chain [s]."""
 _TICK_S = 0.25
 _END_TOLD_S = 5.0
 """Longest time until the launcher tells that a process has ended [s]."""
@@ -62,6 +65,7 @@ class LiveRun(BaseModel):
         robots: by name.
         processor_us: processor time of each process in a cycle [µs].
         wakeups: of the threads of each process, in a cycle.
+        bare: the same messages in bare Python, after the cell has ended.
         reference: its cycles, and the share of its messages that were back in time.
         rows: bounds and comparisons.
         silent: processes without stamps; their stations are missing.
@@ -73,6 +77,7 @@ class LiveRun(BaseModel):
     robots: dict[str, RobotFigures]
     processor_us: dict[str, float]
     wakeups: dict[str, float]
+    bare: BareChain
     reference: dict[str, float]
     rows: tuple[LiveRow, ...]
     silent: tuple[str, ...]
@@ -94,17 +99,22 @@ def run_once(options: LiveOptions, on_time: Callable[[float], None] | None = Non
     Raises:
         LaunchError: if a service does not come up, or ends before its time.
         LaunchInterruptedError: if a signal came first.
-        HopReferenceError: if the reference fails.
+        HopReferenceError, BareChainError: if a reference fails.
     """
     cell = load_cell(options.cell)
     leader, follower = demo_controllers(cell)
     follower = replace(follower, arguments=(*follower.arguments, "--controller", options.follower))
     services = (*cell_services(cell, options.cell), leader, follower)
+    on_time = on_time or (lambda _: None)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        window = _run(cell, services, options, folder, on_time or (lambda _: None))
+        window = _run(cell, services, options, folder, on_time)
+        sockets = folder / "bare"
+        sockets.mkdir()
+        on_time(options.warm_up_s + options.duration_s)
+        bare = measured(list(cell.robots), cell.cycle_s, min(BARE_S, options.duration_s), sockets, time.sleep)
         files = sorted(folder.glob("*.stamps"))
-        return _figures(cell, services, window, [read_stamps(file) for file in files])
+        return _figures(cell, services, window, bare, [read_stamps(file) for file in files])
 
 
 @dataclass(frozen=True)
@@ -179,7 +189,11 @@ def _wait(
 
 
 def _figures(
-    cell: CellDescription, services: Sequence[Service], window: _Window, written: Sequence[WrittenStamps]
+    cell: CellDescription,
+    services: Sequence[Service],
+    window: _Window,
+    bare: BareChain,
+    written: Sequence[WrittenStamps],
 ) -> LiveRun:
     ahead = cell.gate.lookahead_cycles
     stamps = by_robot(written)
@@ -193,17 +207,22 @@ def _figures(
     processor_us = {name: spent_s / cycles * 1e6 for name, spent_s in window.processor_s.items()}
     reference_us = window.reference_processor_s / cycles * 1e6
     reference = window.reference
+    woken = {name: count / cycles for name, count in window.wakeups.items()}
     stamping = [service for service in services if service.role in STAMPING]
     return LiveRun(
         robots=robots,
         processor_us=processor_us,
-        wakeups={name: count / cycles for name, count in window.wakeups.items()},
+        wakeups=woken,
+        bare=bare,
         reference={
             "cycles": len(reference.rows),
             "in_time": reference.in_time,
             "processor_us": reference_us,
         },
-        rows=bounded_rows(robots, processor_us, reference, reference_us, window.stolen_share),
+        rows=(
+            *bounded_rows(robots, processor_us, reference, reference_us, window.stolen_share),
+            *bare_rows(robots, processor_us, woken, bare),
+        ),
         silent=_silent(stamping, {one.process for one in written}),
         overwritten=sum(one.overwritten for one in written),
     )
