@@ -22,7 +22,7 @@ pytestmark = [pytest.mark.browser, pytest.mark.service, pytest.mark.timeout(300)
         ("{outcome: 'asked', text: 'asked'}", "Reset: not confirmed, no answer yet; press again."),
     ],
 )
-def test_a_click_is_answered_in_words_whatever_becomes_of_it(alone, answers, told):
+def test_a_click_is_always_answered_in_words(alone, answers, told):
     page = alone()
     held = mine(phase=Phase.HELD, text="held")
     page.evaluate("status => line.show(status)", status(gr=held))

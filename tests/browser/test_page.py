@@ -215,7 +215,7 @@ def test_a_line_that_is_cut_locks_the_page_and_nothing_is_sent_when_it_is_back(o
 
 
 @pytest.mark.nightly
-def test_of_two_operators_one_drives_and_the_other_sees_who_asks_gets_the_robot_and_drives_it(opened):
+def test_a_second_operator_asks_for_the_robot_gets_it_and_drives_it(opened):
     first, second = opened(), opened()
     take_control(first)
     second.locator("[data-robot=gr]").click()

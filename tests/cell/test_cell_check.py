@@ -308,7 +308,7 @@ def test_krc_files_whose_names_differ_by_case_alone_are_an_error(tmp_path: Path)
     ("field", "severities"),
     [("clients_need_tokens", []), ("anyone_who_connects_may_move_the_robots", ["warning"])],
 )
-def test_off_the_loopback_a_cell_says_who_may_move_its_robots(
+def test_off_the_loopback_a_cell_says_which_clients_may_move_its_robots(
     tmp_path: Path, field: str, severities: list[str]
 ) -> None:
     open_address = ("tcp_address: 127.0.0.1", f"tcp_address: 0.0.0.0\n{field}: true")
@@ -317,7 +317,7 @@ def test_off_the_loopback_a_cell_says_who_may_move_its_robots(
 
 
 @pytest.mark.parametrize("transport", ["tcp", "tcp+udp"])
-def test_where_clients_prove_who_they_are_zenoh_in_the_clear_is_told_with_field_value_and_remedy(
+def test_with_identities_zenoh_in_the_clear_is_reported_with_field_value_and_remedy(
     tmp_path: Path, transport: str
 ) -> None:
     value = f"{transport}/192.0.2.1:7447"

@@ -77,7 +77,7 @@ def test_bodies_are_hashed_as_they_are_and_not_by_the_name_of_their_file() -> No
     assert cell.identity.is_same(LAB), "who has read no bodies compares the rest"
 
 
-def test_an_identity_survives_its_text_and_a_stranger_is_nobody() -> None:
+def test_an_identity_survives_its_text_and_an_unknown_one_is_none() -> None:
     for identity in (LAB, CellModel.load("dawm").identity):
         assert CellIdentity.parse(str(identity)) == identity
     for text in ("", "lab", "lab ", " ", "-", "lab 0-1", "\0"):

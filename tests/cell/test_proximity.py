@@ -95,7 +95,7 @@ def test_in_a_place_without_width_what_is_measured_is_what_an_oracle_measures(by
     assert least[False] == pytest.approx(oracle.between_robots_and_structure(q).distance_m, abs=COAL_M)
 
 
-def test_between_two_robots_the_same_pairs_are_looked_at_whoever_asks(by_coal):
+def test_between_two_robots_the_same_pairs_are_checked_in_either_order(by_coal):
     pairs = {
         names: {frozenset((one.name, other.name)) for group in groups for one, other in group.pairs}
         for names, groups in by_coal.between.items()
@@ -312,7 +312,7 @@ print(json.dumps([first, distance()]))
 
 @pytest.mark.long
 @pytest.mark.parametrize("before", ["nothing", "a cell"])
-def test_boxes_are_as_large_as_they_are_whatever_was_asked_first(before):
+def test_boxes_have_their_size_independent_of_the_first_query(before):
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", ASK, before],
         capture_output=True,

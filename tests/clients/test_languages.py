@@ -115,7 +115,7 @@ def drained(server: Server) -> Iterator[Request]:
         yield server.peer.increments.get_nowait()
 
 
-def test_one_who_computes_for_longer_than_an_increment_may_be_old_is_not_refused(
+def test_a_client_that_computes_longer_than_the_greatest_age_is_not_refused(
     language: Language, server: Server
 ) -> None:
     outcomes = answers(language, server, "fr", 0.15, 8)
@@ -132,7 +132,9 @@ def test_verdicts_that_never_come_are_not_waited_for(language: Language, server:
     assert server.hli.status().robots["fr"].lease.holder is None
 
 
-def test_one_who_computes_until_the_lease_has_run_out_is_told_so(language: Language, server: Server) -> None:
+def test_a_client_that_computes_until_its_lease_expires_gets_an_error(
+    language: Language, server: Server
+) -> None:
     done = run(language, language.answers(server.description.tcp_port, "fr", 1.6, 5))
     assert "the lease of fr has run out" in refusal(language, done)
 
@@ -157,7 +159,7 @@ def test_a_server_that_goes_is_one_clear_line(language: Language) -> None:
     assert re.search(r"127\.0\.0\.1:\d+ (does not answer any more|has closed)", refusal(language, done))
 
 
-def test_a_port_where_nobody_listens_is_one_clear_line(language: Language) -> None:
+def test_a_port_without_a_listener_gives_one_clear_line(language: Language) -> None:
     assert "127.0.0.1:1" in refusal(language, run(language, language.turn_a1(1)))
 
 

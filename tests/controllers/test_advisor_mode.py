@@ -96,7 +96,7 @@ def test_another_option_chosen_on_the_way_is_gone_to_from_there() -> None:
 
 @pytest.mark.long
 @pytest.mark.nightly
-def test_the_mode_is_switched_on_the_way_without_a_jump_and_asked_anew_on_coming_back() -> None:
+def test_the_mode_is_switched_during_motion_without_a_jump() -> None:
     other = DrivingMode.COUPLED
     run = plain("gr")
     (rank, *_) = drivable(run)

@@ -76,7 +76,7 @@ def at_rest(delay_cycles: int) -> float:
 
 
 @pytest.mark.parametrize("delay_cycles", [1, 2, 3])
-def test_at_rest_the_robot_rests_whatever_the_delay_of_actuation(delay_cycles: int) -> None:
+def test_at_rest_the_robot_rests_at_any_delay_of_actuation(delay_cycles: int) -> None:
     assert at_rest(delay_cycles) < 1e-3
 
 
@@ -138,7 +138,7 @@ def test_too_near_the_camera_task_is_given_up_and_taken_up_again_farther_away() 
     np.testing.assert_allclose(dq, np.zeros(6), atol=1e-9)
 
 
-def test_until_the_leader_is_heard_of_the_robot_is_brought_to_rest() -> None:
+def test_until_the_leaders_first_state_the_robot_is_brought_to_rest() -> None:
     follower = CameraFollower(FR, GR, CYCLE_S)
     controller = CameraController(follower, GR, 1.2)
     q, dq = np.array(FR.home), np.full(6, 0.004)

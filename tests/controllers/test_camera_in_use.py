@@ -201,7 +201,7 @@ def test_a_target_alone_that_is_hidden_is_kept_and_told_with_what_hides_it() -> 
     assert loop.camera.target.leader == "gr"
 
 
-def test_a_robot_that_is_not_heard_is_no_target_to_look_at() -> None:
+def test_a_robot_without_a_state_is_no_target() -> None:
     loop = Loop("qp")
     loop.silent.add("aide")
     loop.run(1.5, ViewWish(targets=(AIDE, GR)))

@@ -35,7 +35,7 @@ def decay(camera: Camera | None, random: np.random.Generator) -> float:
 
 @pytest.mark.parametrize("camera", [None, OFF_AXIS])
 @pytest.mark.parametrize("_", range(8))
-def test_the_view_angle_decays_at_k_p_whatever_the_sub_tasks_do(
+def test_the_view_angle_decays_at_k_p_with_any_sub_tasks(
     camera: Camera | None, _: int, random: np.random.Generator
 ) -> None:
     assert decay(camera, random) == pytest.approx(1.0, rel=1e-3)

@@ -94,7 +94,7 @@ def test_the_machine_code_of_a_law_gives_what_its_python_does() -> None:
 
 
 @pytest.mark.long
-def test_no_cycle_waits_for_the_compiler_whatever_kind_of_arrays_the_views_have() -> None:
+def test_no_cycle_waits_for_the_compiler_with_any_kind_of_arrays() -> None:
     told = run(CYCLES).split()
     assert told[::2] == ["paper"] * 2 + ["predictive"] * 2 + ["qp"] * 2
     assert set(told[1::2]) == {"0"}

@@ -55,7 +55,7 @@ def url(shared_stack: SharedStack) -> str:
 
 
 @pytest.mark.nightly
-def test_where_nobody_serves_both_say_so_and_exit_with_3() -> None:
+def test_without_a_server_both_say_so_and_exit_with_3() -> None:
     nowhere = f"tcp/127.0.0.1:{free_ports(1)[0]}"
     for module in (FOLLOWER, LEADER):
         status, summary, err = finish(start(module, "--url", nowhere))

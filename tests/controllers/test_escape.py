@@ -307,7 +307,7 @@ def test_a_course_that_leads_has_foreseen_what_the_other_robot_needs_to_brake() 
 
 
 @pytest.mark.long
-def test_with_nobody_in_the_way_it_is_the_quadratic_programme() -> None:
+def test_with_a_clear_view_it_is_the_quadratic_programme() -> None:
     followers = [make(SCENE, 1.25, FOCUS) for make in (QpFollower, EscapingFollower)]
     q = np.array(FR.home)
     for cycle in range(5):

@@ -136,7 +136,7 @@ def test_what_goes_through_is_felt_in_the_hand_that_couples_the_master() -> None
     assert led.clutch.felt == [0.25]
 
 
-def test_a_master_that_falls_silent_is_rest_until_it_is_coupled_anew() -> None:
+def test_a_silent_master_means_rest_until_it_is_coupled_again() -> None:
     led = Led()
     assert led.drive(0.5, x=0.1).rates["x"] > 0.03
     led.is_seen = False

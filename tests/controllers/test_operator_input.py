@@ -308,7 +308,7 @@ def test_a_held_key_moves_without_a_pause_and_stops_soon_after_it_is_let_go(sett
     assert speed[-1] < 1e-6
 
 
-def test_two_taps_are_no_hold_and_the_next_key_begins_anew() -> None:
+def test_two_taps_are_no_hold_and_the_next_key_starts_a_new_motion() -> None:
     key = HeldKey()
     for time_s in (0.0, 0.5):
         key.press("w", time_s)
@@ -323,7 +323,7 @@ def test_two_taps_are_no_hold_and_the_next_key_begins_anew() -> None:
     assert key.share(1.7) == 0.0
 
 
-def test_a_key_pressed_again_after_a_hold_begins_anew() -> None:
+def test_a_key_pressed_again_after_a_hold_starts_a_new_motion() -> None:
     key = HeldKey()
     for time_s in (0.0, 0.5, 0.53, 0.56):
         key.press("w", time_s)

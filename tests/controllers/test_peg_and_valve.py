@@ -47,7 +47,7 @@ def figures(mode: str, seed: int = 0, **others: float | str) -> ModeFigures:
 
 
 @pytest.mark.nightly
-def test_a_task_is_done_by_an_operator_who_errs_and_again_in_the_same_way() -> None:
+def test_an_erring_operator_completes_the_task_reproducibly() -> None:
     first, second = run(modes=["coupled"], seeds=(1, 1))
     assert first == second
     assert not first.undone

@@ -230,7 +230,7 @@ def test_what_the_view_leaves_free_does_not_drift_into_a_limit() -> None:
     assert np.abs(seen[round(10.0 / CYCLE_S) :, 1]).max() < 0.01
 
 
-def test_with_nobody_near_room_to_turn_round_is_no_concern() -> None:
+def test_with_no_robot_near_room_to_turn_round_does_not_matter() -> None:
     q, q_leader = np.array(lab().robots["fr"].home), lab().robots["gr"].home
     q[0] = lab().robots["fr"].lower[0] + 0.1
     view = View(RobotView(0, 0.0, q, q), {"gr": RobotView(0, 0.0, q_leader, q_leader)})
@@ -239,7 +239,7 @@ def test_with_nobody_near_room_to_turn_round_is_no_concern() -> None:
     assert (follower().increment(view) == careless.increment(view)).all()
 
 
-def test_it_comes_to_rest_while_the_leader_has_not_been_heard_of() -> None:
+def test_it_comes_to_rest_before_the_leaders_first_state() -> None:
     q = np.array(lab().robots["fr"].home)
     dq = follower().increment(View(RobotView(0, 0.0, q, q)))
     assert (dq == 0.0).all()

@@ -65,9 +65,7 @@ class Hosts:
 
 
 @pytest.mark.parametrize(("offset_s", "drift"), [(offset, part * MAX_DRIFT) for offset, part in OFFSETS])
-def test_a_view_is_as_old_as_it_is_whatever_the_clocks_of_two_hosts_show(
-    offset_s: float, drift: float
-) -> None:
+def test_the_age_of_a_view_is_independent_of_the_hosts_clocks(offset_s: float, drift: float) -> None:
     hosts, other = Hosts(offset_s, drift), Foreseen(lab().robots["gr"], lab().robots["fr"], CYCLE_S)
     for cycle in range(5):
         hosts.ask(cycle)

@@ -101,7 +101,7 @@ def _run(loop: asyncio.AbstractEventLoop, task: asyncio.Task[None]) -> None:
     loop.run_until_complete(asyncio.wait([task]))
 
 
-def test_joint_states_come_as_a_ros_program_hears_them_and_the_bridge_is_in_the_graph(
+def test_joint_states_reach_a_ros_program_and_the_bridge_is_in_the_graph(
     server: Server, peer: RosPeer
 ) -> None:
     heard = peer.subscribe(STATES)

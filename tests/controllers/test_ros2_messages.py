@@ -92,7 +92,7 @@ def refusal(message):
 
 
 @given(st.binary(max_size=200))
-def test_bytes_of_anybody_are_a_message_or_are_refused(body):
+def test_any_bytes_are_a_message_or_are_refused(body):
     for start in (b"", b"\x00\x01\x00\x00"):
         assert "\n" not in refusal(start + body)
 

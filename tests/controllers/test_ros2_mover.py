@@ -352,7 +352,7 @@ def test_what_a_robot_cannot_be_asked_is_refused_by_field_value_and_bound(messag
     assert str(refused.value).startswith(text)
 
 
-def test_no_points_are_a_stop_whatever_the_names():
+def test_no_points_are_a_stop_with_any_names():
     assert read(trajectory(())) is None
     assert read(trajectory(("a1", "a1"))) is None
 

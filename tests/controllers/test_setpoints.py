@@ -49,7 +49,7 @@ def test_a_robot_that_accelerates_is_foreseen_better_than_one_that_is_taken_to_b
     assert abs(tracker.ahead(2 * CYCLE_S) - places[11])[0] < 0.3 * abs(steady - places[11])[0]
 
 
-def test_a_motion_that_nobody_sees_any_more_comes_to_an_end() -> None:
+def test_an_unobserved_motion_is_predicted_to_end() -> None:
     tracker = SetpointTracker(CYCLE_S)
     for cycle in range(5):
         tracker.update(seen(cycle, at(cycle)))
@@ -59,7 +59,7 @@ def test_a_motion_that_nobody_sees_any_more_comes_to_an_end() -> None:
 
 
 @pytest.mark.parametrize("cycle", [1, 500])
-def test_after_a_long_silence_and_with_another_robot_server_the_estimate_starts_anew(cycle: int) -> None:
+def test_after_a_long_silence_or_a_new_robot_server_the_estimate_restarts(cycle: int) -> None:
     tracker = SetpointTracker(CYCLE_S)
     for before in range(100, 105):
         tracker.update(seen(before, at(before)))

@@ -156,7 +156,7 @@ def test_a_deflected_cap_that_falls_silent_is_rest_until_it_was_let_go() -> None
     assert cap.look(translation(BACK)).rates["x"] == -1.0
 
 
-def test_a_device_that_was_unplugged_is_found_anew() -> None:
+def test_an_unplugged_device_is_found_again() -> None:
     cap = Cap()
     cap.look(translation(BACK), buttons(RUN))
     cap.core.forget()

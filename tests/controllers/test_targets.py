@@ -30,7 +30,7 @@ def test_the_first_is_looked_at_until_it_has_been_hidden_for_a_while() -> None:
     assert set(chosen[chosen.index(1) :]) == {1}
 
 
-def test_nobody_is_looked_at_who_was_not_visible_for_a_while() -> None:
+def test_a_target_is_chosen_only_after_it_was_visible_for_a_while() -> None:
     chosen = chosen_over(TargetChoice(2), [(False, True)] * 20)
     assert chosen.index(1) * STEP_S == VISIBLE_S
 
@@ -43,7 +43,7 @@ def test_the_choice_stays_where_all_are_hidden() -> None:
     assert set(chosen_over(choice, [(False,) * 3] * 30, 5.0)) == {2}
 
 
-def test_a_clock_that_begins_anew_keeps_nobody_waiting() -> None:
+def test_a_restarted_clock_delays_no_caller() -> None:
     choice = TargetChoice(2)
     chosen_over(choice, [(True, True)] * 20, 1e6)
     assert chosen_over(choice, [(False, True)] * 20)[-1] == 1

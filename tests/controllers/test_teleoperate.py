@@ -184,7 +184,7 @@ async def test_the_first_step_goes_from_the_distance_that_is_seen_and_the_next_f
     assert view.status == f"view {cell.asked[-1][1]:.2f} m"
 
 
-async def test_it_is_said_that_nobody_follows_that_it_is_refused_and_that_no_camera_watches() -> None:
+async def test_a_missing_follower_a_refusal_and_a_missing_camera_are_reported() -> None:
     cell = WatchedCell(holder=None)
     view = AskedViewDistance(cell, "gr")
     view.change(VIEW_STEP_M)

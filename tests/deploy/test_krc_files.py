@@ -230,7 +230,7 @@ def test_both_files_of_a_context_say_the_same(robot: str) -> None:
         assert monikers == linked
 
 
-def test_every_file_says_that_nobody_has_tried_it() -> None:
+def test_every_file_says_that_it_is_untested() -> None:
     for cell, robot, rsi in CELLS:
         for name, text in written(cell, robot, rsi=rsi)[1].items():
             head = " ".join(text[:900].replace(";", " ").split())

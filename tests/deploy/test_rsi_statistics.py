@@ -46,7 +46,7 @@ def test_a_healthy_krc_is_described_and_has_no_problem() -> None:
     assert seen.problems == ()
 
 
-def test_delay_of_a_krc_that_nobody_answers_grows() -> None:
+def test_the_delay_of_an_unanswered_krc_grows() -> None:
     seen = watched(telegrams(51, count_from="first_reply")).summary()
     assert (seen.delay, seen.delay_growth) == (50, 50)
 

@@ -112,7 +112,7 @@ def silent(sock: socket.socket) -> bool:
 
 
 @pytest.mark.parametrize("replies", ["none", "garbage"])
-def test_telegrams_go_out_at_the_fixed_rate_whatever_comes_back(tmp_path: Path, replies: str) -> None:
+def test_telegrams_go_out_at_the_fixed_rate_with_or_without_replies(tmp_path: Path, replies: str) -> None:
     with running(write_private_cell(tmp_path, "lab-4ms"), "fr") as emulated, pc(emulated) as sock:
         first = sock.recvfrom(4096)[0]
         before, before_s = emulated.ask(op="status"), time.monotonic()

@@ -72,7 +72,7 @@ def test_a_ramp_is_followed_at_the_lag_that_theory_gives(damping: float) -> None
     st.floats(0.0, 0.03),
     st.lists(st.floats(-1, 1), min_size=3, max_size=12),
 )
-def test_the_update_is_exact_whatever_the_cycle(
+def test_the_update_is_exact_at_any_cycle(
     damping: float, frequency: float, dead_time_s: float, setpoints: list[float]
 ) -> None:
     """Two half cycles along the same interpolated setpoint end where one whole cycle does."""

@@ -75,7 +75,7 @@ def test_a_reference_that_cannot_write_its_file_is_an_error(tmp_path: Path) -> N
         reference.times(0, 1)
 
 
-def test_the_asker_times_a_server_and_its_own_echo_and_notes_who_is_silent(tmp_path: Path) -> None:
+def test_the_asker_times_a_server_and_its_own_echo_and_notes_silent_peers(tmp_path: Path) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
         server.bind(("127.0.0.1", 0))
         server.settimeout(5.0)

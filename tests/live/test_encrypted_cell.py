@@ -16,9 +16,7 @@ from deltaq_services.recorder.shell import Recorder
 pytestmark = [pytest.mark.live, pytest.mark.nightly]
 
 
-def test_services_under_identities_move_a_robot_and_one_of_another_authority_is_not_heard(
-    tmp_path, monkeypatch
-):
+def test_services_with_identities_move_a_robot_and_one_of_another_authority_is_ignored(tmp_path, monkeypatch):
     cell = load_cell("lab")
     folder, other = (make(tmp_path / name, cell.cell) for name in ("identities", "others"))
     monkeypatch.setenv(IDENTITY, str(folder))

@@ -79,7 +79,7 @@ def folder(tmp_path, monkeypatch):
     return folder
 
 
-def test_only_who_has_an_identity_connects_and_nobody_reads_along(tmp_path, folder, monkeypatch):
+def test_only_clients_with_an_identity_connect_and_traffic_is_encrypted(tmp_path, folder, monkeypatch):
     others = make(tmp_path / "others", people=("operator-desk",))
     with stack_over("tls", tmp_path) as stack:
         address = stack.cell.hli

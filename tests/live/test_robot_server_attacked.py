@@ -93,7 +93,7 @@ def attacked(tmp_path):
 # the mode of this session is probed all the while, since its KRC never moves; an attack of 1.4° is fifty times as much
 
 
-def test_no_datagram_of_anybody_moves_the_robot_or_ends_the_process(attacked):
+def test_no_foreign_datagram_moves_the_robot_or_ends_the_process(attacked):
     for count in range(20):
         for sender in (attacked.other, attacked.krc):
             sender.send(telegram(attacked.ipoc + 12 * 5000 + 12 * count, FR.home + OFF))

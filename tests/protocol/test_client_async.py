@@ -71,7 +71,7 @@ async def running() -> AsyncIterator[Running]:
 # --- what goes wrong ---------------------------------------------------------------------------------
 
 
-async def test_where_nobody_listens_connecting_fails_and_says_where_and_what_to_do() -> None:
+async def test_connecting_without_a_listener_fails_with_address_and_remedy() -> None:
     nowhere = endpoint()
     with pytest.raises(ServiceUnreachableError, match=f"{nowhere}.*is the cell up"):
         async with connect(nowhere):
@@ -255,7 +255,7 @@ async def test_without_a_state_there_is_nothing_to_answer(running: Running) -> N
                 await ask((0.0,) * 9)
 
 
-async def test_when_the_server_goes_whoever_waits_for_states_is_told() -> None:
+async def test_when_the_server_ends_waiting_for_states_raises() -> None:
     description = small_cell()
     async with guarded_peer(description) as peer:
         hli = Hli(description, told(description), tool_pose)

@@ -44,7 +44,7 @@ def test_a_script_whose_cell_is_not_up_ends_with_one_line() -> None:
     assert re.fullmatch(r"error: nobody answers at .*\n", done.stderr)
 
 
-def test_where_nobody_listens_connecting_fails_and_no_thread_stays() -> None:
+def test_connecting_without_a_listener_fails_and_leaves_no_thread() -> None:
     with pytest.raises(ServiceUnreachableError), connect(endpoint()):
         pass
     assert client_threads() == []

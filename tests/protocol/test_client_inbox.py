@@ -96,7 +96,7 @@ def newest_of(decoded: list[str]) -> Newest[str, int]:
     return Newest(asyncio.get_running_loop(), decode)
 
 
-async def test_everybody_who_waits_for_a_newer_value_is_woken_and_gets_the_newest() -> None:
+async def test_every_waiter_is_woken_and_gets_the_newest_value() -> None:
     newest = newest_of([])
     waiting = [asyncio.create_task(newest.after(0, 10.0)) for _ in range(3)]
     await settled()
@@ -113,7 +113,7 @@ async def test_whoever_has_seen_the_newest_value_waits_and_gives_up_at_the_deadl
         await newest.after(1, 0.01)
 
 
-async def test_what_is_no_value_wakes_nobody_and_the_value_before_it_stands() -> None:
+async def test_a_sample_without_a_value_wakes_no_waiter_and_keeps_the_last_value() -> None:
     newest = newest_of([])
     newest.put("1")
     assert newest.value == 1
@@ -130,7 +130,7 @@ async def test_what_is_no_value_wakes_nobody_and_the_value_before_it_stands() ->
     assert await waiting == (4, 4)
 
 
-async def test_a_sample_is_decoded_once_and_only_if_somebody_reads_it() -> None:
+async def test_a_sample_is_decoded_once_and_only_when_it_is_read() -> None:
     decoded: list[str] = []
     newest = newest_of(decoded)
     for number in range(1000):
@@ -141,7 +141,7 @@ async def test_a_sample_is_decoded_once_and_only_if_somebody_reads_it() -> None:
     assert decoded == ["999"]
 
 
-async def test_the_loop_is_not_woken_for_a_sample_that_nobody_awaits(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_loop_is_not_woken_for_an_unawaited_sample(monkeypatch: pytest.MonkeyPatch) -> None:
     loop = asyncio.get_running_loop()
     woken: list[object] = []
     newest = newest_of([])

@@ -120,7 +120,7 @@ def test_a_message_beyond_the_bound_is_not_even_decoded() -> None:
 
 
 @given(st.binary(max_size=200))
-def test_no_bytes_whatever_raise_anything_but_invalid_message(payload: bytes) -> None:
+def test_any_bytes_raise_invalid_message_only(payload: bytes) -> None:
     for decode in (lambda: unpack(Increment, payload), lambda: from_map(Increment, line_to_map(payload))):
         try:
             decode()
@@ -130,7 +130,7 @@ def test_no_bytes_whatever_raise_anything_but_invalid_message(payload: bytes) ->
 
 @pytest.mark.long
 @given(JSON, st.dictionaries(st.sampled_from([*INCREMENT, "lease", "\ud800"]), JSON))
-def test_no_map_whatever_raises_anything_but_invalid_message_and_its_text_can_be_sent(
+def test_any_map_raises_invalid_message_only_and_its_text_can_be_sent(
     data: Any, changes: dict[str, Any]
 ) -> None:
     for candidate in (data, INCREMENT | changes):

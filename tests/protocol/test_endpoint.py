@@ -19,7 +19,7 @@ from deltaq_protocol.endpoint import Endpoint, InvalidEndpointError
         ("tcp/localhost.example:7447", False),
     ],
 )
-def test_an_endpoint_is_read_and_written_back_and_knows_who_can_reach_it(text, is_loopback):
+def test_an_endpoint_is_read_written_back_and_classified_by_reach(text, is_loopback):
     endpoint = Endpoint.parse(text)
     assert str(endpoint) == text
     assert endpoint.is_loopback is is_loopback

@@ -42,7 +42,7 @@ def test_a_message_comes_out_as_it_went_in(gate, server):
     assert gate.open(STATE, server.close(STATE, b"\x00state\xff")) == b"\x00state\xff"
 
 
-def test_an_admission_is_for_the_process_that_the_gate_has_heard(gate, server):
+def test_an_admission_is_addressed_to_the_known_process(gate, server):
     early = gate.close(ADMISSION, b"early")
     meet(gate, server)
     assert server.open(ADMISSION, gate.close(ADMISSION, b"dq")) == b"dq"
@@ -74,7 +74,7 @@ def test_messages_under_different_keys_do_not_overtake_one_another(gate):
     assert hli.open(HEALTH, verdict) == b"again"
 
 
-def test_a_process_that_was_frozen_is_not_heard_beside_its_successor(gate, server):
+def test_a_frozen_process_is_ignored_after_its_successor(gate, server):
     meet(gate, server)
     successor = process(FR)
     meet(gate, successor)
@@ -88,7 +88,7 @@ def test_a_process_that_was_frozen_is_not_heard_beside_its_successor(gate, serve
         server.open(ADMISSION, gate.close(ADMISSION, b"dq"))
 
 
-def test_a_gate_that_was_frozen_is_not_heard_by_a_robot_server_that_follows_its_successor(gate, server):
+def test_a_robot_server_ignores_a_frozen_gate_after_its_successor(gate, server):
     meet(gate, server)
     server.open(ADMISSION, gate.close(ADMISSION, b"dq"))
     successor = process(SIM)
@@ -98,7 +98,7 @@ def test_a_gate_that_was_frozen_is_not_heard_by_a_robot_server_that_follows_its_
         server.open(ADMISSION, gate.close(ADMISSION, b"dq"))
 
 
-def test_a_misaddressed_message_replaces_nobody(gate):
+def test_a_misaddressed_message_replaces_no_peer(gate):
     """A recorded HLI does not take the place of the one that runs."""
     hli, recorded = process(HLI), process(HLI)
     hli.open(HEALTH, gate.close(HEALTH, b"health"))
@@ -131,7 +131,7 @@ def test_a_message_that_was_damaged_or_put_under_another_key_is_invalid(gate, se
     assert gate.open(STATE, enclosed) == b"state"
 
 
-def test_an_observer_reads_a_message_for_others_and_who_sent_it(gate, server):
+def test_an_observer_reads_a_message_for_others_with_its_sender(gate, server):
     meet(gate, server)
     first, second = (gate.close(ADMISSION, b"dq") for _ in range(2))
     assert message_in(first) == message_in(second) == b"dq"

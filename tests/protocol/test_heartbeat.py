@@ -68,7 +68,7 @@ def test_a_look_costs_next_to_nothing(tmp_path: Path) -> None:
     assert each_s < 0.05, "an interpreter with its imports takes 0.8 s"
 
 
-def test_it_beats_once_a_second_and_costs_nothing_where_nobody_listens(tmp_path: Path) -> None:
+def test_it_beats_once_a_second_and_not_without_a_listener(tmp_path: Path) -> None:
     file = tmp_path / "health"
     beats = Heartbeat({HEALTH_FILE: str(file)})
     beats.beat(10.0, detail="first")

@@ -26,7 +26,7 @@ def read(folder, after=timedelta(0)):
     return Identity.read(folder, now_utc() + after)
 
 
-def test_an_identity_says_who_it_is_and_of_which_cell(folder):
+def test_an_identity_has_a_name_and_a_cell(folder):
     sim = read(folder / "sim")
     assert (sim.name, sim.kind, sim.cell) == ("sim", IdentityKind.SERVICE, "lab")
     assert read(folder / "operator-desk").kind is IdentityKind.OPERATOR
@@ -64,7 +64,7 @@ def test_what_others_could_have_written_is_not_believed(folder, name):
         read(folder / "sim")
 
 
-def test_files_of_somebody_else_are_not_believed(folder):
+def test_files_of_another_user_are_not_trusted(folder):
     try:
         for name, match in (("certificate.pem", "who would believe it"), ("key.pem", "belongs to user")):
             os.chown(folder / "sim" / name, os.geteuid() + 1, -1)
@@ -219,7 +219,7 @@ def test_who_has_an_identity_already_gets_no_second_one(folder, tmp_path):
     assert contents(folder) == before
 
 
-def test_a_folder_that_somebody_else_made_is_not_taken(folder):
+def test_a_folder_of_another_user_is_not_used(folder):
     (folder / "operator-night").mkdir()
     (folder / "operator-night" / "mine.txt").write_text("mine", encoding="utf-8")
     before = contents(folder)

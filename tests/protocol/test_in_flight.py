@@ -171,7 +171,7 @@ def played(cycle: int, q_cmd: float, answered: int | None, delay: int = 5) -> Ro
     return state(cycle, q_cmd, playout=Playout(delay_cycles=delay, waiting=0, answered_cycle=answered))
 
 
-def test_with_a_playout_buffer_what_no_state_shows_yet_is_reckoned_with_whatever_became_of_verdicts() -> None:
+def test_with_a_jitter_buffer_increments_in_flight_count_without_verdicts() -> None:
     in_flight = InFlight()
     for seq, cycle in enumerate(range(10, 16), start=1):
         in_flight.sent(seq, [0.1 * seq], cycle)

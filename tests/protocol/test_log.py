@@ -74,7 +74,7 @@ def test_programs_get_one_object_a_line_with_time_level_service_robot_message_an
         ),
     ],
 )
-def test_what_nobody_foresaw_is_a_line_too(code: str, level: str, message: str) -> None:
+def test_an_unexpected_error_is_a_line_too(code: str, level: str, message: str) -> None:
     done = run(f"from deltaq_protocol import log\nlog.configure('sim')\n{code}", DELTAQ_LOG_FORMAT="json")
     (told,) = map(json.loads, (done.stdout + done.stderr).splitlines())
     assert (told["level"], told["service"], told["robot"]) == (level, "sim", None)

@@ -11,7 +11,7 @@ from deltaq_protocol.proof import COUNT_BYTES, MAC_BYTES, MAX_PROOF_BYTES, Prove
 KEY, MESSAGE = "deltaq/lab/fr/increment", b"\x81\xa4type"
 
 
-def test_a_proof_shows_its_nonce_to_who_has_the_secret_and_to_nobody_else() -> None:
+def test_a_proof_is_valid_with_the_right_secret_only() -> None:
     proof = Prover("secret").prove(KEY, MESSAGE, b"nonce")
     assert proven_nonce(key_of("secret"), KEY, MESSAGE, proof) == b"nonce"
     assert proven_nonce(key_of("Secret"), KEY, MESSAGE, proof) is None

@@ -150,7 +150,7 @@ def test_text_reaches_the_controller_and_is_refused_where_the_file_has_no_place_
         SensorCodec(CANONICAL, ARM_AXES).encode(5, np.zeros(6), text="a")
 
 
-def test_digital_signals_go_by_their_tags_whatever_their_order() -> None:
+def test_digital_signals_are_read_by_their_tags_in_any_order() -> None:
     config = make_config(
         CANONICAL_SEND + element("Di.I1", "BOOL", 1) + element("Di.I2", "BOOL", 2),
         ARM_CORRECTION + element("Do.O1", "BOOL", 7) + element("Do.O2", "BOOL", 8, hold_on=0),

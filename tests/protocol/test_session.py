@@ -54,7 +54,7 @@ class Heard:
             assert came, self.payloads[-1:]
 
 
-def test_an_endpoint_where_nobody_listens_fails_when_it_must_be_reached_and_says_what_to_do() -> None:
+def test_an_endpoint_without_a_listener_fails_with_a_remedy() -> None:
     nowhere = endpoint()
     with pytest.raises(ServiceUnreachableError, match=f"{nowhere}.*is the cell up"):
         open_session(connect=[nowhere], must_connect=True)
@@ -69,7 +69,7 @@ def test_an_address_that_is_taken_cannot_be_listened_on_and_the_reason_is_the_sy
     first.close()
 
 
-def test_a_session_that_keeps_trying_opens_at_once_though_nobody_is_there_yet() -> None:
+def test_a_session_that_may_retry_opens_without_a_peer() -> None:
     started = time.monotonic()
     open_session(connect=[endpoint()]).close()
     assert time.monotonic() - started < 0.4
@@ -183,7 +183,7 @@ def test_what_is_urgent_goes_as_a_datagram_and_what_has_to_arrive_does_not() -> 
             server.close()
 
 
-def test_a_firewall_that_swallows_datagrams_keeps_nobody_out() -> None:
+def test_a_firewall_that_drops_datagrams_locks_no_client_out() -> None:
     at = endpoint().partition("/")[2]
     host, _, port = at.rpartition(":")
     server = open_session(listen=[f"tcp/{at}"])
@@ -199,7 +199,7 @@ def test_a_firewall_that_swallows_datagrams_keeps_nobody_out() -> None:
             server.close()
 
 
-def test_what_a_newer_sample_has_overtaken_is_no_news_and_another_publisher_begins_anew() -> None:
+def test_an_overtaken_sample_is_ignored_and_another_publisher_starts_again() -> None:
     def sample(second: int, publisher: bytes) -> Any:
         return SimpleNamespace(
             timestamp=zenoh.Timestamp(datetime(2026, 1, 1, 0, 0, second, tzinfo=UTC), publisher)

@@ -78,7 +78,7 @@ def test_of_two_ages_the_lesser_rules() -> None:
 
 
 @pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
-def test_every_topic_has_somebody_who_says_it_and_somebody_who_hears_it(topic: Topic) -> None:
+def test_every_topic_has_a_publisher_and_a_reader(topic: Topic) -> None:
     assert topic.publishers
     assert topic.readers
     clients = {*topic.publishers, *topic.readers} & {Party.CLIENT}

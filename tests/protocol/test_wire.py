@@ -32,7 +32,7 @@ def ends() -> Iterator[tuple[Any, Any]]:
     server.close()
 
 
-async def test_a_question_waits_for_somebody_who_can_answer_it(ends: tuple[Any, Any]) -> None:
+async def test_a_query_waits_for_a_server(ends: tuple[Any, Any]) -> None:
     server, client = ends
 
     def answer(query: zenoh.Query) -> None:
@@ -48,7 +48,7 @@ async def test_a_question_waits_for_somebody_who_can_answer_it(ends: tuple[Any, 
     assert unpack(Done, await asked).what == "status"
 
 
-async def test_a_question_that_somebody_took_and_did_not_answer_is_not_asked_again(
+async def test_an_unanswered_query_that_was_taken_is_not_repeated(
     ends: tuple[Any, Any],
 ) -> None:
     server, client = ends
@@ -65,7 +65,7 @@ async def test_a_question_that_somebody_took_and_did_not_answer_is_not_asked_aga
     assert taken == [KEY]
 
 
-async def test_a_question_for_which_nobody_comes_ends_in_time(ends: tuple[Any, Any]) -> None:
+async def test_a_query_without_a_server_ends_in_time(ends: tuple[Any, Any]) -> None:
     _, client = ends
     with pytest.raises(ServiceUnreachableError, match=f"no answer to {KEY} within 0.05 s"):
         await Wire(client, asyncio.get_running_loop()).ask(

@@ -104,7 +104,7 @@ def test_who_has_no_identity_or_one_of_another_authority_is_not_let_in(realm, tm
 
 
 @pytest.mark.parametrize("name", [robot_server("fr"), HLI, "operator-desk"])
-def test_an_intruder_is_heard_under_its_own_keys_only(realm, folder, name):
+def test_an_intruder_can_send_under_its_own_keys_only(realm, folder, name):
     """Whoever has broken into one service, or has a person's identity, says each message of the table once a cycle."""
     intruder = Intruder(realm, folder, name)
     table = sayings(realm.description.cell, tuple(realm.robots))

@@ -57,7 +57,7 @@ async def test_a_controller_moves_and_does_not_reset(hli, folder, monkeypatch):
     await hli.entry("reset", "refused", identity="controller-tower", role="controller")
 
 
-async def test_who_says_to_be_somebody_proves_nothing_by_it(hli, folder, tmp_path):
+async def test_a_claimed_name_proves_nothing(hli, folder, tmp_path):
     others = people(tmp_path / "others")
     for identity in (None, others / "operator-desk"):
         async with connect(hli.peer.cell.hli, client="operator-desk", identity=identity) as cell:
@@ -83,7 +83,7 @@ async def test_a_client_with_an_identity_is_served_where_none_is_known(tmp_path,
         turning.cancel()
 
 
-async def test_a_service_s_folder_or_none_is_told_before_anybody_is_asked(folder, tmp_path):
+async def test_a_wrong_identity_folder_is_reported_before_connecting(folder, tmp_path):
     for identity, told in (
         (folder / "sim", "is the identity of sim, a service"),
         (tmp_path / "none", "cannot be read"),
@@ -165,7 +165,7 @@ async def test_a_line_with_a_certificate_of_another_authority_or_out_of_date_is_
 # --- what an HLI is given -------------------------------------------------------------------------------
 
 
-def test_with_an_authority_a_cell_that_needs_tokens_needs_none_and_who_shows_nothing_is_an_observer(folder):
+def test_with_an_authority_no_tokens_are_needed_and_clients_without_identity_observe(folder):
     exposed = small_cell(hli="tcp/0.0.0.0:7447", clients_need_tokens=True)
     with pytest.raises(GivenTokenError, match="DELTAQ_IDENTITY"):
         client_roles(exposed, {})

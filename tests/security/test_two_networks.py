@@ -67,7 +67,7 @@ def run_in(namespace, program, *arguments):
     return done.stdout.strip()
 
 
-def test_no_stranger_of_another_network_comes_in_and_the_hli_is_heard_as_itself_alone(tmp_path):
+def test_foreign_identities_are_refused_and_the_hli_can_send_as_itself_only(tmp_path):
     own, others = (make(tmp_path / name, cell="lab") for name in ("identities", "others"))
     with sites() as made:
         cell = write_cell(tmp_path)

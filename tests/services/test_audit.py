@@ -317,7 +317,7 @@ def test_a_full_disk_loses_lines_counts_them_and_says_why() -> None:
     assert file.fault == os.strerror(28)
 
 
-def test_a_pipe_that_nobody_reads_keeps_nobody_waiting(tmp_path: Path) -> None:
+def test_a_pipe_without_a_reader_delays_no_caller(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     file = AuditFile(pipe)
@@ -377,7 +377,7 @@ def test_one_file_alone_is_bounded_too(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_file_that_somebody_moved_away_is_begun_anew(tmp_path: Path) -> None:
+def test_a_file_that_was_moved_away_is_created_again(tmp_path: Path) -> None:
     path = tmp_path / "audit.jsonl"
     written(path, range(1))
     file = AuditFile(path)
@@ -387,7 +387,7 @@ def test_a_file_that_somebody_moved_away_is_begun_anew(tmp_path: Path) -> None:
     assert (path.read_bytes(), (tmp_path / "moved").read_bytes()) == (line(1), line(0))
 
 
-def test_it_is_its_owners_alone_whatever_the_mask(tmp_path: Path) -> None:
+def test_it_is_its_owners_alone_with_any_umask(tmp_path: Path) -> None:
     path = tmp_path / "audit.jsonl"
     before = os.umask(0)
     try:
@@ -509,7 +509,7 @@ def test_an_entry_of_many_has_the_time_of_the_newest() -> None:
     assert groups.due(1.2) == [CountedDeed(refused(), 0.4, 7)]
 
 
-def test_nothing_is_kept_of_strangers_who_have_gone() -> None:
+def test_no_memory_is_kept_of_closed_connections() -> None:
     groups = DeedGroups()
     flooded(groups, [refused(client=str(number)) for number in range(1000)], each_s=0.001)
     assert groups.due(2 * LONGEST_QUIET_S) == []

@@ -36,7 +36,7 @@ def test_a_proof_without_a_count_makes_no_request_and_one_with_a_count_no_increm
     assert authentication.holder_of_increment("fr", KEY, MESSAGE, prover.prove_next(KEY, MESSAGE)) is None
 
 
-def test_counts_begin_anew_with_each_lease_and_the_old_one_is_worth_nothing() -> None:
+def test_counts_restart_with_each_lease_and_the_old_one_is_invalid() -> None:
     leases, authentication = bench()
     old = leases.grant("fr", ClientOrigin("x"), None, 0.0)
     was = Prover(old.token)
@@ -49,7 +49,7 @@ def test_counts_begin_anew_with_each_lease_and_the_old_one_is_worth_nothing() ->
     )
 
 
-def test_who_has_just_lost_a_lease_is_known_and_who_lost_one_before_is_not() -> None:
+def test_the_previous_holder_is_known_and_earlier_ones_are_not() -> None:
     leases, authentication = bench()
     provers = []
     for _ in range(3):
@@ -64,7 +64,7 @@ def test_who_has_just_lost_a_lease_is_known_and_who_lost_one_before_is_not() -> 
     assert known == [None, None, ("secret-2", False)]
 
 
-def test_a_challenge_is_answered_once_soon_and_by_who_knows_the_token() -> None:
+def test_a_challenge_is_valid_once_soon_and_with_the_token_only() -> None:
     _, authentication = bench()
     operator, stranger = Prover("token"), Prover("guessed")
     challenge = authentication.challenge(10.0)
@@ -77,13 +77,13 @@ def test_a_challenge_is_answered_once_soon_and_by_who_knows_the_token() -> None:
     assert authentication.token(KEY, MESSAGE, operator.prove(KEY, MESSAGE, b"of mine"), 10.0) is None
 
 
-def test_where_there_is_no_operator_nobody_proves_to_be_it() -> None:
+def test_without_an_operators_token_no_client_proves_to_be_operator() -> None:
     _, authentication = bench(operator=None)
     challenge = authentication.challenge(0.0)
     assert authentication.token(KEY, MESSAGE, Prover("").prove(KEY, MESSAGE, challenge), 0.0) is None
 
 
-def test_a_flood_of_challenges_takes_nobody_s_away_and_leaves_nothing_behind() -> None:
+def test_a_flood_of_challenges_invalidates_no_other_and_uses_no_memory() -> None:
     challenges = Challenges("ours")
     mine = challenges.new(0.0)
     assert len({challenges.new(0.0) for _ in range(10_000)}) == 10_000
@@ -94,7 +94,7 @@ def test_a_flood_of_challenges_takes_nobody_s_away_and_leaves_nothing_behind() -
     assert challenges._used == {}
 
 
-def test_an_overheard_request_of_a_holder_goes_first_once_whatever_it_asks() -> None:
+def test_a_replayed_request_of_a_holder_goes_first_once_only() -> None:
     leases, authentication = bench()
     prover = Prover(leases.grant("fr", ClientOrigin("x"), None, 0.0).token)
     first, second, third = (prover.prove_next(KEY, MESSAGE) for _ in range(3))

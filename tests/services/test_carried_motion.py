@@ -170,7 +170,7 @@ def test_what_no_joint_can_do_is_left_to_the_gate_and_no_more_than_a_cycles_moti
     st.sampled_from([0.001, 0.003]),
 )
 @example(5, [[5]] * 40 + [[9], [8], [7]] + [[5]] * 20, 0.003)
-def test_where_a_robot_ends_is_what_was_reckoned_with_whatever_the_way_did(
+def test_a_robot_ends_where_it_was_predicted_with_any_losses(
     usual: int, odd: list[list[int]], speed: float
 ) -> None:
     """Late, lost, doubled, out of order: what is told and what is in flight add up to where the robot comes to rest."""

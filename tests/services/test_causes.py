@@ -102,7 +102,7 @@ def at(*shares: float, **changes: Any) -> ServerState:
 
 
 @pytest.mark.parametrize("shares", [(1,), (1, 2 / 3), (1, 2 / 3, 1 / 3), (1, 2 / 3, 1 / 3, 0), (0,), (1, 0)])
-def test_an_admission_leads_along_its_brake_and_no_state_has_to_be_heard(shares: tuple[float, ...]) -> None:
+def test_an_admission_is_followed_along_its_brake_without_states(shares: tuple[float, ...]) -> None:
     assert judged(at(*shares), BEFORE, in_flight=(admitted(),)) is None
 
 
@@ -161,7 +161,7 @@ def test_a_cycle_that_leaps(cycle: int, phase: Phase, is_possible: bool) -> None
     assert said is None or said.startswith(f"cycle {cycle} after cycle {before.cycle}")
 
 
-def test_a_hold_that_ends_without_a_reset_and_a_reset_that_nobody_ordered() -> None:
+def test_a_hold_without_a_reset_and_a_reset_without_an_order_are_found() -> None:
     held = server_state(phase=Phase.HELD, plan=AT_REST, resets=3)
     said = judged(server_state(cycle=101, plan=AT_REST, resets=3), held, resets=3)
     assert said == "a hold that ended without a reset"

@@ -97,7 +97,7 @@ def test_the_gate_orders_a_stop_of_a_robot_whose_server_has_read_another_cell() 
     assert (other.message.stop, other.message.cell) == (ReasonCode.CELL_MISMATCH, str(THEIRS))
 
 
-def test_a_stop_is_obeyed_from_whatever_gate() -> None:
+def test_a_stop_of_any_gate_is_obeyed() -> None:
     rig = Rig()
     rig.request()
     rig.cycle()

@@ -166,7 +166,7 @@ def test_where_suspects_are_refused_the_least_share_nothing_else_is_asked():
     assert (judged.certificates, len(judged.suspects)) == ([], 1)
 
 
-def test_a_pair_that_nobody_suspected_is_from_then_on():
+def test_a_new_failing_pair_becomes_a_suspect():
     judged = Judged(up_to(0.3), up_to(0.6), up_to(0.3))
     assert 0.3 - LEAST <= judged.largest() <= 0.3
     assert len(judged.certificates) == 2

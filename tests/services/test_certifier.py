@@ -72,9 +72,7 @@ def test_a_path_that_begins_or_ends_too_near_to_the_structure_is_not_certified(
 
 
 @pytest.mark.parametrize(("start", "end"), [(NEAR, FAR), (FAR, NEAR)])
-def test_a_path_that_begins_or_ends_too_near_to_another_robot_is_not_certified_whoever_moves(
-    certify, fails_again, start, end
-):
+def test_a_path_with_an_end_too_near_to_another_robot_is_not_certified(certify, fails_again, start, end):
     beside = standing("fr", FR_BESIDE_GR)
     middle = (start + end) / 2
     assert certify("gr", path(middle, FAR), ("fr", beside)).holds is True
@@ -125,7 +123,7 @@ def test_the_part_of_a_path_that_is_looked_at_last_counts_whichever_it_is(certif
 
 
 @pytest.mark.parametrize("order", [1, -1])
-def test_a_part_that_waits_while_another_is_divided_twice_still_counts_whoever_moves(certify, order):
+def test_a_part_that_waits_while_another_is_divided_still_counts(certify, order):
     """The other part comes back with its gripper turned: near enough for two divisions, and never too near."""
     far, turned = NEAR - one_joint("gr", 4, 0.3), NEAR - one_joint("gr", 4, 0.005) + one_joint("gr", 8, 0.05)
     beside = standing("fr", FR_BESIDE_GR)

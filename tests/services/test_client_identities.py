@@ -59,7 +59,7 @@ def test_a_name_is_proven_once_in_answer_to_a_challenge(folder):
     )
 
 
-def test_late_or_without_a_challenge_nobody_is_known(folder):
+def test_a_late_proof_or_one_without_a_challenge_is_invalid(folder):
     server, desk = bench(folder), IdentityProver(folder / "operator-desk")
     late = desk.prove(KEY, MESSAGE, server.challenge(10.0))
     assert server.identity(KEY, MESSAGE, late, 10.1 + GOOD_FOR_S) == ""
@@ -81,7 +81,7 @@ def test_a_signature_is_of_one_request(folder, key, message):
 
 @pytest.mark.long
 @given(st.floats(0.0, 1.0, exclude_max=True), st.integers(0, 7), st.floats(0.0, 1.0, exclude_max=True))
-def test_whatever_bit_is_changed_or_left_out_nobody_is_known(folder, place, bit, end):
+def test_a_proof_with_any_changed_or_missing_bit_is_invalid(folder, place, bit, end):
     # the length of a signature is one thing and another
     server, desk = bench(folder), IdentityProver(folder / "operator-desk")
     proof = bytearray(desk.prove(KEY, MESSAGE, server.challenge(0.0)))
@@ -107,7 +107,7 @@ def test_a_certificate_is_known_by_one_spelling():
 
 
 @given(st.binary(max_size=MAX_SIGNED_BYTES + 10))
-def test_bytes_that_somebody_made_up_are_nobody_s(folder, proof):
+def test_forged_bytes_are_not_authenticated(folder, proof):
     server = bench(folder)
     assert server.identity(KEY, MESSAGE, proof, 0.0) == ""
     assert not server.goes_first(KEY, MESSAGE, proof, 10.0)
@@ -123,7 +123,7 @@ def test_a_signed_proof_is_read_as_it_was_written(signature, nonce, certificate)
     assert Signed.parse(signed.pack()) == signed
 
 
-def test_the_authority_of_another_cell_makes_nobody(folder, tmp_path):
+def test_an_identity_of_another_cells_authority_is_invalid(folder, tmp_path):
     server, other = bench(folder), people(tmp_path / "other")
     proof = IdentityProver(other / "operator-desk").prove(KEY, MESSAGE, server.challenge(0.0))
     assert server.identity(KEY, MESSAGE, proof, 0.0) == ""
@@ -144,7 +144,7 @@ def test_who_has_broken_into_a_service_is_no_operator(folder):
     assert server.identity(KEY, MESSAGE, prover.prove(KEY, MESSAGE, server.challenge(0.0)), 0.0) == ""
 
 
-def test_the_certificate_of_somebody_else_is_worth_nothing_without_its_key(folder):
+def test_anothers_certificate_is_invalid_without_its_key(folder):
     server = bench(folder)
     tower, desk = IdentityProver(folder / "controller-tower"), IdentityProver(folder / "operator-desk")
     tower._certificate = desk._certificate
@@ -170,7 +170,7 @@ def test_tokens_and_identities_are_never_taken_for_one_another(folder):
     assert server.token(KEY, MESSAGE, by_token, 0.0) == "token"
 
 
-def test_a_message_that_is_too_long_is_nobody_s(folder):
+def test_a_message_that_is_too_long_is_not_authenticated(folder):
     server, desk = bench(folder), IdentityProver(folder / "operator-desk")
     long = bytes(MAX_MESSAGE_BYTES + 1)
     proof = desk.prove(KEY, long, server.challenge(0.0))

@@ -85,7 +85,7 @@ def is_refused(topic, what, token, identity):
     ("topic", "right"), ASKED, ids=[f"{topic.name} {right.what}".strip() for topic, right in ASKED]
 )
 @pytest.mark.parametrize("role", ClientRole)
-def test_who_may_is_not_refused_and_who_may_not_is(topic, right, role):
+def test_permitted_clients_are_accepted_and_others_refused(topic, right, role):
     wanted = right.of_holder or role < right.least
     assert is_refused(topic, right.what, TOKENS[role], "") == wanted
     assert is_refused(topic, right.what, None, IDENTITIES[role]) == wanted

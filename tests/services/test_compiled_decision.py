@@ -74,7 +74,7 @@ def test_all_tubes_in_one_call_are_certified_as_one_by_one():
     assert {*held} == {True, False}
 
 
-def test_nobody_is_told_a_pair_who_did_not_ask_and_the_answer_is_the_same():
+def test_the_tightest_pair_is_returned_on_request_only():
     for blend, tubes in cornered():
         asked = blend.robot.name, blend.tube(blend.at_most), tubes
         quiet, asking = (CompiledCertifier(PROXIMITY, tells=tells).certify(*asked) for tells in (False, True))

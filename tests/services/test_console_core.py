@@ -266,7 +266,7 @@ def test_robots_that_something_else_holds_at_rest_confirm_a_stop_that_was_asked_
     assert driving_anna.status().stop is StopPhase.AT_REST
 
 
-def test_robots_that_are_not_heard_are_not_said_to_rest(driving_anna, bench):
+def test_silent_robots_are_not_reported_at_rest(driving_anna, bench):
     driving_anna.send("stop")
     bench.core.answered(bench.asked("stop")[0].request, True, "", bench.now_s)
     assert driving_anna.status().stop is StopPhase.STOPPING
@@ -286,7 +286,7 @@ def test_a_robot_that_lost_its_controller_is_no_stop(driving_anna, bench):
     assert driving_anna.status().stop is StopPhase.NONE
 
 
-def test_answers_of_the_hli_reach_who_asked(bench):
+def test_answers_of_the_hli_reach_their_client(bench):
     desk, tower = bench.browser("desk"), bench.browser("tower")
     desk.send("reset", id="r", robot="fr")
     before = len(tower.got)
@@ -315,7 +315,7 @@ def test_a_dry_run_is_answered_with_its_verdict_in_words(bench):
     assert ack.text == "scaled to 50%: a1 at its position limit, 180.0°"
 
 
-def test_the_answer_to_who_has_gone_is_dropped(bench):
+def test_the_answer_to_a_closed_connection_is_dropped(bench):
     desk = bench.browser()
     desk.send("reset", robot="fr")
     bench.core.disconnect(desk.client, bench.now_s)

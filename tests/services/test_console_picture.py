@@ -37,7 +37,7 @@ def bench():
     return ConsoleBench()
 
 
-def test_before_anything_is_heard_a_frame_says_so(bench):
+def test_before_the_first_message_a_frame_says_so(bench):
     head, robots = decoded(bench.core.picture.frame(bench.now_s))
     assert (head[0], head[1], head[3]) == (2, 2, bench.now_s)
     assert head[4:6] == (65535, 65535)
@@ -50,7 +50,7 @@ def test_before_anything_is_heard_a_frame_says_so(bench):
     assert [fields[0] for fields, _, _ in robots] == [6, 9]
 
 
-def test_a_frame_holds_what_was_heard(bench):
+def test_a_frame_holds_the_newest_messages(bench):
     bench.states(Phase.ENGAGED)
     bench.verdict(Outcome.SCALED, clearance_m=0.125, pair=("fr/link_5", "structure/tank_1"))
     bench.verdict(Outcome.ADMITTED, robot="gr", clearance_m=0.25, pair=("gr/link_3", "somewhere/else"))

@@ -117,7 +117,7 @@ async def test_recordings_are_for_the_console_s_own_page(tmp_path, folder):
 
 
 @pytest.mark.long
-async def test_recordings_are_for_who_shows_the_console_s_token_where_it_has_one(tmp_path, folder):
+async def test_recordings_need_the_consoles_token_if_it_has_one(tmp_path, folder):
     async with served(tmp_path, folder, TOKEN) as (console, _, port):
         for path in ("/recordings", "/recordings/run.mcap"):
             for shown in ({}, {"Authorization": "Bearer guessed"}, {"Authorization": f"Basic {TOKEN}"}):

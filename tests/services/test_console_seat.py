@@ -45,7 +45,7 @@ def test_nobody_moves_a_robot_before_its_lease_is_granted(bench):
     assert desk.status().robots["fr"].lease.mine
 
 
-def test_a_lease_that_somebody_outside_holds_is_refused_with_the_drivers_words(bench):
+def test_a_lease_of_an_outside_holder_is_refused_in_the_drivers_words(bench):
     desk = bench.browser()
     lease(desk, "take", id="t")
     desk.hears(bench.driver_answers(done=False, text="lease_taken: scripted-leader holds it"))
@@ -55,7 +55,7 @@ def test_a_lease_that_somebody_outside_holds_is_refused_with_the_drivers_words(b
     assert lease(desk, "take").outcome is ASKED
 
 
-def test_the_second_operator_sees_who_has_it_and_cannot_move_it(bench, desk, tower):
+def test_the_second_operator_sees_the_holder_and_cannot_move_the_robot(bench, desk, tower):
     seen = tower.status().robots["fr"].lease
     assert (seen.holder, seen.mine) == ("desk", False)
     assert "desk has fr: ask for it" in lease(tower, "take").text
@@ -127,7 +127,7 @@ def test_who_goes_while_the_lease_is_taken_does_not_keep_it(bench):
     assert lease(bench.browser("tower"), "take").outcome is ASKED
 
 
-def test_a_driver_that_ended_leaves_nobody_waiting(bench, desk):
+def test_after_the_end_of_a_driver_no_client_waits(bench, desk):
     desk.send("mode", id="m", robot="fr", mode="decoupled")
     desk.hears(bench.core.driver_ended("fr", "signal 9", bench.now_s))
     assert "signal 9" in desk.acks("m")[-1].text
@@ -146,7 +146,7 @@ def test_a_lease_that_was_lost_is_told(bench, desk):
     assert any("taken by another" in text for text in desk.events("lease"))
 
 
-def test_an_answer_that_nobody_waits_for_changes_nothing(bench, desk):
+def test_an_unexpected_answer_changes_nothing(bench, desk):
     bench.core.driver_said("fr", driving.DriverAnswer(id="r999", done=False), bench.now_s)
     assert desk.send("jog", **JOG).outcome is DONE
 
@@ -167,7 +167,7 @@ def test_mode_and_outputs_reach_the_driver(bench):
     assert bench.driver_requests("gr")[-1].command.rates == {"z": 0.1}
 
 
-def test_a_view_distance_is_for_whoever_follows_and_needs_no_seat(bench):
+def test_a_view_distance_reaches_the_follower_without_an_operator_session(bench):
     desk = bench.browser()
     assert desk.send("view_distance", robot="fr", value_m=1.5).outcome is ASKED
     view = bench.asked("view")[-1]
@@ -297,7 +297,7 @@ def test_another_session_name_or_role_does_not_come_back_to_the_robots_of_one_th
     assert isinstance(bench.driver_requests()[-1], driving.Release)
 
 
-def test_a_page_that_is_loaded_anew_keeps_name_and_robot_which_rests_meanwhile(bench, anna):
+def test_a_reloaded_page_keeps_its_name_and_its_resting_robot(bench, anna):
     goes(bench, anna)
     assert bench.driver_requests()[-1] == driving.GiveCommand()
     watcher = comes(bench, "s2", "Bea")
@@ -335,7 +335,7 @@ def test_a_second_tab_of_one_session_is_an_operator_of_its_own(bench, anna):
     assert anna.status(AWAY_S + 0.1).robots["fr"].lease.mine
 
 
-def test_a_page_that_gave_its_line_up_goes_on_by_a_new_one_before_the_old_ones_end_is_heard(bench):
+def test_a_page_reconnects_before_the_end_of_its_old_connection_is_seen(bench):
     client, outputs = bench.core.connect("Anna", True, bench.now_s, session="s1", page="p1")
     anna = Browser(bench, client, bench.done(outputs))
     anna.takes()
@@ -359,7 +359,7 @@ def test_who_resets_is_told_by_name(bench, anna):
     assert bench.asked("reset")[-1].client.startswith("console: Anna at")
 
 
-def test_while_the_hli_is_silent_nobody_is_said_to_have_control_elsewhere_and_its_start_is_told(bench, anna):
+def test_while_the_hli_is_silent_no_outside_holder_is_shown(bench, anna):
     bench.core.board.heard({"fr": "Anna (console)", "gr": "leader"}, bench.now_s)
     lost = driving.DriverReport(
         stage=driving.DriverStage.FREE, mode=driving.DrivingMode.JOINT, doing="the HLI is gone"

@@ -73,7 +73,7 @@ def test_the_advisor_is_asked_again_and_cancelled(bench, desk):
     assert bench.driver_requests()[-1].hands_may_leave
 
 
-def test_ways_are_told_to_all_who_look_on_and_to_who_comes_later(bench, desk):
+def test_paths_are_sent_to_all_browsers_and_to_later_ones(bench, desk):
     eve = bench.browser("eve", operator=False)
     said = driving.DriverWays(mode=driving.DrivingMode.POSE, ways=(WAY,))
     outputs = bench.done(bench.core.driver_said("fr", said, bench.now_s))

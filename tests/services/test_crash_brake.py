@@ -92,7 +92,7 @@ def test_a_robot_that_rests_gets_the_stop_at_once():
     assert brake.over
 
 
-def test_without_a_stop_a_robot_that_rests_needs_nobody():
+def test_without_a_stop_a_resting_robot_needs_no_action():
     krc = CrashSide().begin()
     brake = CrashBrake(replace(PLAN, has_stop=False), RECORDS.newest(bytes(krc.memory)), TELEGRAMS)
     assert brake.over

@@ -162,7 +162,7 @@ def test_without_a_krc_it_ends_by_itself():
         assert both.has_ended()
 
 
-def test_while_the_server_lives_it_answers_nobody():
+def test_while_the_server_runs_it_does_not_answer():
     with beside() as both:
         both.krc.tick()
         both.sock.sendto(both.krc.own(), both.place)

@@ -65,7 +65,7 @@ def test_asked_to_end_it_rests_first_and_then_sends_the_stop_three_times(krc, nu
     assert not any(state.dq)
 
 
-def test_a_robot_that_begins_a_session_anew_has_its_stops_when_it_is_at_rest_again(krc):
+def test_a_robot_in_a_new_session_has_its_stops_once_it_rests_again(krc):
     ending = Ending(krc.server)
     ask(signal.SIGTERM)
     while not ending.stop:

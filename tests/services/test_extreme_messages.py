@@ -180,7 +180,7 @@ def test_the_console_foresees_every_command(seed):
 
 
 @given(seed=SEEDS)
-def test_the_console_shows_whatever_the_hli_tells(seed):
+def test_the_console_shows_all_messages_of_the_hli(seed):
     random, bench = Random(seed), ConsoleBench()
     bench.states()
     home = tuple(CELL.description.robots["fr"].home.tolist())

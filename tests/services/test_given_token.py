@@ -107,9 +107,7 @@ async def test_a_client_and_a_command_take_theirs_from_a_file(
 @pytest.mark.parametrize(
     "names", ["DELTAQ_CLIENT_TOKEN_FILE", "DELTAQ_OPERATOR_TOKEN_FILE", "DELTAQ_CLIENT_IDENTITY"]
 )
-async def test_a_secret_that_is_not_there_keeps_nobody_from_a_stop(
-    names: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_stop_works_without_the_secret(names: str, monkeypatch: pytest.MonkeyPatch) -> None:
     description = small_cell()
     monkeypatch.setenv(names, "/nowhere")
     async with guarded_peer(description) as peer, Hli(description, told(description), tool_pose):

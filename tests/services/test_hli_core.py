@@ -182,7 +182,7 @@ def test_a_robot_that_is_offline_or_held_takes_no_increment(phase: Phase, code: 
     assert refused(bench.move(1, cycle=101)).code is code
 
 
-def test_a_robot_that_was_never_heard_is_not_ready() -> None:
+def test_a_robot_without_a_state_is_not_ready() -> None:
     bench = Bench()
     bench.lease()
     assert refused(bench.move(1)).code is ReasonCode.NOT_READY
@@ -225,7 +225,7 @@ def test_an_error_names_what_it_answers_as_far_as_that_can_be_told(
     assert (error.request, error.robot, error.seq) == named
 
 
-def test_what_is_refused_is_shown_to_everybody_who_watches_too() -> None:
+def test_refused_increments_are_shown_to_every_watcher() -> None:
     outputs = Bench().ready().move(1, cycle=101)
     shown = published(outputs, Realm.OPEN)
     assert [(o.topic, o.robot) for o in shown] == [(topics.VERDICT, "fr")]
@@ -338,14 +338,14 @@ def verdict(seq: int, outcome: Outcome = Outcome.ADMITTED) -> Verdict:
     return Verdict(robot="fr", cycle=100, seq=seq, outcome=outcome, scale=1.0, dq=(0.001,) * 6)
 
 
-def test_a_verdict_goes_to_the_one_who_asked_and_to_everybody_who_watches() -> None:
+def test_a_verdict_goes_to_its_sender_and_to_every_watcher() -> None:
     bench = Bench().ready()
     bench.move(1)
     outputs = bench.core.on_gate_verdict(verdict(1))
     assert outputs == [ToSender(bench.client, verdict(1)), ToTopic(topics.VERDICT, "fr", verdict(1))]
 
 
-def test_a_late_verdict_goes_to_who_asked_not_to_who_took_the_lease_since() -> None:
+def test_a_late_verdict_goes_to_its_sender_not_to_the_next_holder() -> None:
     bench = Bench().ready()
     bench.move(1)
     first, bench.client = bench.client, Client()
@@ -399,7 +399,7 @@ def test_of_stops_that_the_gate_does_not_answer_the_newest_of_each_robot_is_sent
     assert sent(Command, bench.core.on_tick(bench.now + 0.1)) == [stop]
 
 
-def test_everybody_who_stops_is_told_though_the_gate_gets_one_stop() -> None:
+def test_every_client_that_stops_gets_an_answer_though_the_gate_gets_one_stop() -> None:
     bench = Bench()
     clients = [Client() for _ in range(MOST_AWAIT_A_STOP)]
     (stop,) = (
@@ -430,7 +430,7 @@ def test_a_flood_of_commands_reaches_the_gate_at_a_rate_and_no_stop_waits_for_it
     assert only(Command, later).kind == "reset"
 
 
-def test_a_reply_that_comes_after_the_deadline_answers_nobody_twice() -> None:
+def test_a_reply_after_the_deadline_answers_no_client_twice() -> None:
     bench = Bench()
     command = only(Command, bench.core.requests.on_stop(StopRequest(), bench.client, bench.now))
     bench.core.on_tick(bench.now + 1.0)
@@ -488,7 +488,7 @@ def test_a_name_that_is_no_text_is_answered_in_text() -> None:
     assert to_line(error)
 
 
-def test_while_a_robot_is_leased_only_the_holder_sets_its_outputs_and_anybody_reads_them() -> None:
+def test_only_the_holder_sets_outputs_of_a_leased_robot_and_any_client_reads_them() -> None:
     bench = Bench()
     bench.state(100, "gr")
     bench.lease(robot="gr", client="octave")
@@ -587,7 +587,7 @@ def reset(bench: Bench) -> Command:
     return command
 
 
-def test_a_command_goes_by_the_newest_cycle_of_every_robot_that_was_heard() -> None:
+def test_a_command_names_the_newest_cycle_of_every_robot_with_a_state() -> None:
     bench = Bench()
     assert reset(bench).cycles == {}
     bench.state(7)

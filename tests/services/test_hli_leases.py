@@ -19,7 +19,7 @@ def controller_lost(outputs: list[Output]) -> bool:
     return len(commands) == 1
 
 
-def test_a_second_client_is_refused_and_told_who_holds_the_lease_and_for_how_long() -> None:
+def test_a_second_client_is_refused_with_the_holders_name_and_the_time_left() -> None:
     bench = Bench().ready()
     bench.now += 0.25
     reply = bench.lease(client="intruder")

@@ -146,7 +146,7 @@ def test_another_may_take_its_place_at_any_moment(seed):
     )
 
 
-def test_what_nobody_sends_or_nobody_can_be_told_is_refused_by_its_type():
+def test_messages_of_the_wrong_direction_are_refused_by_type():
     core, client = Day(0).core, Client()
     with pytest.raises(TypeError, match="a StopRequest has to be answered, and comes from nobody"):
         core.take(StopRequest(), 1.0)

@@ -205,7 +205,7 @@ async def test_before_the_hello_nothing_is_served_but_a_stop(running: Running) -
         assert (await running.commanded()).reason is ReasonCode.OPERATOR_STOP
 
 
-async def test_a_stop_is_obeyed_whatever_else_the_line_says(running: Running) -> None:
+async def test_a_stop_is_obeyed_with_any_other_fields(running: Running) -> None:
     await running.peer.turn()
     async with json_client(running.port) as client:
         assert (await client.ask("done", type="stop", now="please"))["what"] == "stop"
@@ -383,7 +383,7 @@ async def test_a_client_that_is_sent_away_and_does_not_read_why_leaves_its_place
 
 
 @pytest.mark.long
-async def test_a_flood_of_connections_is_refused_and_keeps_nobody_waiting_who_is_in(
+async def test_a_flood_of_connections_is_refused_and_delays_no_connected_client(
     running: Running, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # the flood says nothing, and a machine may need longer than the deadline to let all of it in

@@ -108,7 +108,7 @@ class Desk(Sender):
         ),
     ],
 )
-def test_a_view_that_nobody_can_have_is_refused_and_changes_nothing(
+def test_an_impossible_view_is_refused_and_changes_nothing(
     robot: str, fields: dict[str, Any], code: ReasonCode, said: str
 ) -> None:
     desk = Desk()
@@ -181,7 +181,7 @@ def test_several_targets_replace_each_other_target_and_end_with_the_next_of_anot
         assert desk.shown() == ViewWish(distance_m=1.1, **fields)
 
 
-def test_a_wish_outlives_the_lease_of_who_followed_and_the_answer_says_who_does() -> None:
+def test_a_requested_view_outlives_the_followers_lease() -> None:
     desk = Desk()
     desk.core.take(server_state("fr", 100), 50.0)
     request = LeaseRequest(robot="fr", action=LeaseAction.ACQUIRE, client="follower")

@@ -39,7 +39,7 @@ def holding(inbox, **fields):
     return inbox
 
 
-def test_the_first_request_of_all_is_valid_whatever_its_number(inbox):
+def test_the_first_request_is_valid_with_any_number(inbox):
     assert inbox.fault(request(seq=0, lease_epoch=0)) is None
 
 

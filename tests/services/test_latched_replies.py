@@ -77,7 +77,7 @@ def test_a_stop_is_not_confirmed_by_the_hold_that_a_reset_on_its_way_will_end() 
 
 
 @pytest.mark.parametrize("unheard", ["never", "any more"])
-def test_a_stop_of_a_robot_that_is_not_heard_is_never_confirmed(unheard: str) -> None:
+def test_a_stop_of_a_silent_robot_is_never_confirmed(unheard: str) -> None:
     rig = Rig()
     if unheard == "never":
         rig.sim = Sim(CELL, epoch=5)
@@ -146,7 +146,7 @@ def test_the_first_reset_is_for_the_gate_that_is_there() -> None:
     assert _reset(by_sign_of_life).id > 5000
 
 
-def test_after_the_gate_began_anew_its_own_word_counts_and_not_whom_the_robots_follow() -> None:
+def test_after_a_restart_of_the_gate_its_own_epoch_counts() -> None:
     core = _hli(epoch=7)
     _alive(core, epoch=9, newest_id=0)
     core.on_server_state(server_state("fr", 101, Phase.HELD, epoch=7), 50.0)

@@ -91,7 +91,7 @@ async def test_a_proof_without_a_challenge_or_of_a_wrong_token_is_none() -> None
                 assert (await greet(stranger, **fields))["type"] == "error"
 
 
-async def test_where_there_are_no_tokens_whoever_shows_one_is_served_as_everybody_is() -> None:
+async def test_without_configured_tokens_a_client_with_one_is_served_as_others() -> None:
     async with serving(ClientRoles()) as (_, port), json_client(port, name=None) as client:
         challenge = await challenge_of(client)
         assert (await greet(client, challenge=challenge, proof=line_proof("any", challenge)))[
@@ -105,7 +105,7 @@ async def test_where_there_are_no_tokens_whoever_shows_one_is_served_as_everybod
 
 @off_loopback
 @pytest.mark.parametrize("with_a_proof", [False, True])
-async def test_a_token_in_the_clear_makes_nobody_an_operator_over_a_network(with_a_proof: bool) -> None:
+async def test_a_token_in_the_clear_gives_no_role_over_a_network(with_a_proof: bool) -> None:
     """The attack: who has read a token off the wire, which any program did that sent one, sends it again."""
     fields = {"token": OPERATOR}
     async with serving(address="0.0.0.0") as (hli, port):
@@ -126,7 +126,7 @@ async def test_a_token_in_the_clear_makes_nobody_an_operator_over_a_network(with
 
 
 @off_loopback
-async def test_over_a_network_who_proves_a_token_and_who_shows_none_are_served_as_on_the_loopback() -> None:
+async def test_over_a_network_clients_with_and_without_a_token_are_served_as_on_the_loopback() -> None:
     async with serving(address="0.0.0.0") as (_, port):
         async with json_client(port, name=None, host=str(own_address())) as client:
             challenge = await challenge_of(client)

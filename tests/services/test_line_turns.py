@@ -65,7 +65,7 @@ def test_who_gets_a_lease_is_served_as_a_holder_and_once() -> None:
     assert [turns.next(0.0) for _ in range(3)] == ["me", "other", None]
 
 
-def test_whoever_finds_no_place_may_stop_and_silent_ones_keep_nobody_out() -> None:
+def test_a_connection_beyond_the_limit_may_stop_and_silent_ones_lock_no_other_out() -> None:
     places = Places[int]()
     given = [places.take(k, "127.0.0.1") for k in range(MAX_CONNECTIONS + 1000)]
     assert given == [True] * MAX_CONNECTIONS + [False] * 1000

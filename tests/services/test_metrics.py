@@ -207,7 +207,7 @@ async def test_a_port_that_is_taken_is_an_error() -> None:
         await Exporter("tcp/127.0.0.1:1").run("127.0.0.1", listening.getsockname()[1])
 
 
-def test_a_verdict_on_a_cycle_that_was_not_heard_has_no_delay() -> None:
+def test_a_verdict_on_an_unknown_cycle_has_no_delay() -> None:
     delays = Delays()
     assert delays.state(5, 1.0) is None
     assert delays.verdict(4, 1.1) is None

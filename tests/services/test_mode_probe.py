@@ -101,9 +101,7 @@ LAGS = st.tuples(st.integers(0, 2), st.floats(0.7, 1.0))
 @pytest.mark.long
 @settings(deadline=None, max_examples=60)
 @given(lag=LAGS, noise=st.floats(0, 0.02), seed=st.integers(0, 2**31), cell=st.sampled_from([LAB, LAB_4MS]))
-def test_an_absolute_krc_is_found_out_in_one_trial_whatever_the_lag_and_a_little_noise(
-    lag, noise, seed, cell
-):
+def test_an_absolute_krc_is_recognised_in_one_trial_with_any_lag_and_some_noise(lag, noise, seed, cell):
     arm = Arm("absolute", *lag, noise, seed, cell)
     probe = arm.trial(0)
     while not probe.known:
@@ -143,7 +141,7 @@ def test_a_relative_krc_is_found_out_moved_by_no_more_than_the_pulse_and_put_bac
     seed=st.integers(0, 2**31),
     losses=st.lists(st.sampled_from([""] * 6 + ["telegram", "reply", "twice"]), min_size=60, max_size=160),
 )
-def test_whatever_is_lost_no_mode_is_taken_for_the_other_and_nobody_gets_far(
+def test_with_any_losses_no_mode_is_taken_for_the_other_and_no_joint_moves_far(
     mode, moves, lag, noise, seed, losses
 ):
     arm = Arm(mode, *lag, noise, seed, moves=moves)
@@ -301,7 +299,7 @@ def test_told_to_end_it_undoes_a_pulse_and_begins_none(at):
     "at", [4, 5, 7, HALF + 4, HALF + 7]
 )  # in reply to samples 3 to 5 there is a pulse, and half a trial later
 @pytest.mark.parametrize("lost", ["reply", "telegram"])
-def test_a_trial_with_a_loss_near_a_pulse_is_judged_by_nobody_and_followed_by_another(lost, at):
+def test_a_trial_with_a_loss_near_a_pulse_has_no_result_and_is_repeated(lost, at):
     arm = Arm(moves=False)
     arm.trial(at)
     if lost == "telegram":
@@ -402,7 +400,7 @@ def test_drives_that_are_not_done_within_a_window_are_not_driven():
 
 
 @pytest.mark.parametrize(("decimals", "jitter"), [(3, 0.0), (4, 8.0)])
-def test_a_lag_that_decimals_or_noise_hide_is_not_told_and_refuses_nobody(decimals, jitter):
+def test_a_lag_hidden_by_decimals_or_noise_is_unknown_and_holds_no_robot(decimals, jitter):
     slow = SLOW.model_copy(update={"dead_time_s": 0.1})  # 231 ms, where the gate presumes 204
     probe = Drives(slow, decimals=decimals, jitter=jitter).trial(2 * TRIAL + PAUSE)
     assert set(probe.lags) == {None}

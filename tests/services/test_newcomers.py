@@ -108,7 +108,7 @@ async def test_who_says_nothing_is_taken_up_too(bench: Bench) -> None:
 
 
 @pytest.mark.usefixtures("none_without_a_stop")
-async def test_a_stop_is_taken_up_whoever_waits(bench: Bench) -> None:
+async def test_a_stop_is_accepted_before_all_waiting_connections(bench: Bench) -> None:
     for says in (b"", HELLO) * 20:
         bench.connected(says)
     await bench.let_in(40)
@@ -147,7 +147,7 @@ async def test_where_the_silent_may_bring_a_stop_yet_they_are_waited_for(bench: 
     assert bench.begun_for_stops == 1
 
 
-async def test_who_has_said_something_is_taken_up_before_who_has_not(
+async def test_connections_that_have_sent_data_are_accepted_before_silent_ones(
     monkeypatch: pytest.MonkeyPatch, bench: Bench
 ) -> None:
     monkeypatch.setattr(newcomers, "_LET_IN_A_TURN", 2)

@@ -95,7 +95,7 @@ def test_a_robot_that_may_not_move_is_not_stopped_again(rig, phase):
     assert rig.orders.standing_stop is None
 
 
-def test_an_hli_that_was_heard_may_be_silent_for_its_time_and_no_cycle_longer(rig):
+def test_an_hli_may_be_silent_for_its_timeout_and_no_cycle_longer(rig):
     rig.orders.hli_heard()
     for _ in range(HLI_TIMEOUT):
         rig.state()
@@ -112,13 +112,13 @@ def test_every_sign_of_life_of_the_hli_counts_anew(rig):
     assert rig.orders.standing_stop is None
 
 
-def test_an_hli_that_was_never_heard_is_not_missed(rig):
+def test_an_hli_without_any_message_is_not_missed(rig):
     for _ in range(HLI_TIMEOUT + 5):
         rig.state()
     assert rig.orders.standing_stop is None
 
 
-def test_a_robot_that_was_never_heard_is_not_reset(rig):
+def test_a_robot_without_a_state_is_not_reset(rig):
     assert refusal(rig.orders) is ReasonCode.UNREACHABLE
 
 
@@ -190,7 +190,7 @@ def test_a_reset_of_a_robot_that_is_not_held_is_done_at_once_and_resets_nothing(
     assert orders.fulfilled() == [7]
 
 
-def test_no_reset_is_done_before_the_robot_was_heard(rig):
+def test_no_reset_is_done_before_the_robots_first_state(rig):
     assert rig.orders.fulfilled() == []
 
 
@@ -227,7 +227,7 @@ def test_a_hold_that_a_reset_is_about_to_end_answers_no_stop(rig):
     assert rig.state(Phase.HELD, resets=1).latched() == [31]
 
 
-def test_a_robot_that_was_never_heard_answers_no_stop(rig):
+def test_a_robot_without_a_state_confirms_no_stop(rig):
     rig.orders.answer_when_stopped(31)
     assert rig.orders.awaits_stop(31)
     assert rig.orders.latched() == []

@@ -370,7 +370,7 @@ def test_what_is_repeated_is_judged_as_what_is_sent_and_told_by_its_own_number()
     assert bench.turn()[0].seq == 9
 
 
-def test_without_a_playout_buffer_nobody_looks_at_what_is_repeated() -> None:
+def test_without_a_jitter_buffer_repeated_increments_are_ignored() -> None:
     bench = Bench(playout=False)
     bench.turn()
     bench.answer(bench.cycle, 7, earlier=((bench.cycle, 6),))

@@ -290,7 +290,7 @@ def test_a_pair_that_is_measured_again_and_again_does_not_creep(violations):
         assert violations.kept_m(PAIR) == kept
 
 
-def test_a_pair_that_somebody_else_brought_nearer_keeps_what_it_has_now(violations):
+def test_a_pair_brought_nearer_by_another_cause_keeps_its_present_distance(violations):
     violations.stands(PAIR, 0.048, STOP_M)
     violations.stands(PAIR, 0.03, STOP_M)
     assert violations.kept_m(PAIR) == pytest.approx(0.03 - ALLOWANCE_M, abs=1e-15)

@@ -89,14 +89,14 @@ def rig():
     return Rig()
 
 
-def test_it_is_offline_until_the_gate_is_heard():
+def test_it_is_offline_until_the_gates_first_message():
     server = RobotServer(CELL, "fr", process=1)
     server.take(Measurement(12, FR.home, q_start=FR.home), 0.0)
     assert server.state.phase is Phase.OFFLINE
     assert server.motion_stop is False
 
 
-def test_before_it_hears_a_gate_it_follows_none_and_holds_for_no_reason():
+def test_before_a_gates_first_message_it_follows_none_and_does_not_hold():
     server = RobotServer(CELL, "fr", process=1)
     for count in range(GATE_TIMEOUT + 5):
         q_start = FR.home if count == 0 else None
@@ -677,7 +677,7 @@ def test_a_probe_in_which_a_telegram_was_lost_says_nothing_against_a_robot_that_
     assert unprobed.server.detail.startswith("finds out" if is_lost else "a1, a2, a3, a4, a5, a6 did not")
 
 
-def test_a_krc_that_is_refused_before_a_gate_is_heard_is_held_once_it_is(unprobed):
+def test_a_refused_krc_is_held_after_the_first_message_of_the_gate(unprobed):
     for _ in range(PROBE_CYCLES):
         before = unprobed.q
         assert unprobed.cycle(gate=False).phase is Phase.OFFLINE

@@ -130,7 +130,7 @@ def test_it_says_by_how_much_the_ipoc_grows(bench):
     assert bench.believe().server.detail == "IPOC grows by 12 a cycle"
 
 
-def test_an_address_that_nobody_knows_is_told():
+def test_an_unknown_address_is_reported():
     driver = FR.driver.model_copy(update={"krc_address": "no.such.krc.invalid"})
     with pytest.raises(ServiceUnreachableError, match=r"krc_address 'no\.such\.krc\.invalid' is not known"):
         KrcSocket(driver, 0.25, SimpleNamespace(), Counter())

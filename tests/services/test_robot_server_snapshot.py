@@ -112,7 +112,7 @@ def test_a_server_that_takes_one_message_after_the_other_does_as_one_that_is_han
     assert pieces.state.phase in (Phase.READY, Phase.HELD)
 
 
-def test_what_nobody_sends_to_a_robot_server_is_refused_by_its_type():
+def test_a_robot_server_refuses_foreign_messages_by_type():
     server = RobotServer(CELL, "fr", process=1)
     with pytest.raises(TypeError, match="takes admissions, heartbeats and measurements, got a Increment"):
         server.take(Increment(robot="fr", seq=1, cycle=1, dq=(0.0,) * 6), 0.0)

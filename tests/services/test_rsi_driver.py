@@ -51,7 +51,7 @@ def test_the_session_goes_on_over_telegrams_that_were_lost(krc):
     assert krc.counters["session_restarted"] == 0
 
 
-def test_corrections_are_offsets_from_the_programmed_path_whatever_is_measured(krc):
+def test_corrections_are_offsets_from_the_programmed_path_not_from_measurements(krc):
     krc.cycle(q=FR.home + 0.3 * STEP)
     told = KRC.decode(krc.driver.reply(krc.driver.q_sent + STEP, {}))
     np.testing.assert_allclose(told.correction, STEP, atol=1e-8)
@@ -99,7 +99,7 @@ def test_a_burst_of_telegrams_that_agree_is_no_session_since_no_krc_can_hurry():
     assert krc.driver.session.belief is Belief.UNKNOWN
 
 
-def test_a_telegram_that_says_that_rsi_begins_anew_is_not_answered_with_a_leap_back(krc):
+def test_a_telegram_of_a_new_rsi_session_is_not_answered_with_a_leap_back(krc):
     krc.drive()
     assert krc.hand(KRC.encode_ipoc_only(krc.ipoc)) is None
     before = krc.correction
@@ -213,7 +213,7 @@ def test_a_session_that_stands_where_nothing_explains_it_is_not_answered(krc):
     assert "neither where it was sent nor" in krc.driver.detail
 
 
-def test_a_server_started_anew_takes_the_correction_that_the_krc_has_once_the_robot_stands():
+def test_a_restarted_server_adopts_the_krcs_correction_once_the_robot_rests():
     krc = KrcSide()
     krc.correction = 3 * STEP
     for count in range(3):

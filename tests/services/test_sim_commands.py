@@ -212,7 +212,7 @@ def test_a_command_that_comes_again_is_refused_and_changes_nothing(rig, fields):
     assert rig.sim.snapshot() == before.model_copy(update={"number": before.number + 2})
 
 
-def test_a_reset_that_comes_again_after_the_next_stop_frees_nobody(rig):
+def test_a_repeated_reset_after_the_next_stop_releases_no_robot(rig):
     rig.command(kind="stop")
     for _ in range(20):
         rig.cycle()
@@ -286,7 +286,7 @@ def test_a_command_must_tell_the_cycles_of_the_robots_that_it_concerns_and_of_no
     assert refusal(rig, everywhere)[1] == f"goes by cycle None of gr, which is at {cycles['gr']}"
 
 
-def test_of_a_robot_that_was_never_heard_no_cycle_is_asked():
+def test_a_command_names_no_cycle_of_a_robot_without_a_state():
     alone = Sim(CELL, epoch=5)
     (reply,) = (output.message for output in alone.on_command(bound(alone, kind="io", robot="gr")))
     assert reply.accepted

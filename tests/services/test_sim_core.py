@@ -116,7 +116,7 @@ def violated_by_both():
     return rig, fr, gr
 
 
-def test_a_server_that_starts_anew_begins_without_the_violations_of_its_robot_and_leaves_the_others():
+def test_a_restarted_server_drops_the_violations_of_its_robot_only():
     rig, fr, gr = violated_by_both()
     rig.cycle()
     assert rig.sim.violations.snapshot() == (fr, gr)
@@ -125,7 +125,7 @@ def test_a_server_that_starts_anew_begins_without_the_violations_of_its_robot_an
     assert rig.sim.violations.snapshot() == (gr,)
 
 
-def test_a_robot_that_somebody_else_displaced_begins_without_its_violations_too():
+def test_a_robot_displaced_by_another_cause_starts_without_violations_too():
     rig, _, gr = violated_by_both()
     state = rig.state
     elsewhere = tuple((np.array(state.q_cmd) + 0.1).tolist())
@@ -136,7 +136,7 @@ def test_a_robot_that_somebody_else_displaced_begins_without_its_violations_too(
     assert rig.sim.violations.snapshot() == (gr,)
 
 
-def test_nothing_is_admitted_beside_a_robot_that_was_never_heard(rig):
+def test_nothing_is_admitted_beside_a_robot_without_a_state(rig):
     alone = Sim(CELL, epoch=9)
     state = rig.state.model_copy(update={"epoch": 9})
     alone.on_state(state)
@@ -153,7 +153,7 @@ def test_what_is_asked_of_a_new_server_in_its_first_cycle_is_answered_at_once(ri
     assert rig.request().reasons[0].code is ReasonCode.NOT_READY
 
 
-def test_a_robot_server_that_was_started_anew_is_held_until_a_reset(rig):
+def test_a_restarted_robot_server_is_held_until_a_reset(rig):
     rig.request()
     rig.cycle()
     rig.restart_server("fr")
@@ -232,9 +232,7 @@ def test_what_the_gate_cannot_place_is_counted_each_time_and_not_answered(rig):
 
 
 @pytest.mark.parametrize(("cycle", "decides"), [(0, False), (1, True)])
-def test_before_a_robot_was_heard_what_is_asked_of_it_waits_until_the_hli_speaks_of_a_state(
-    rig, cycle, decides
-):
+def test_before_a_robots_first_state_requests_wait(rig, cycle, decides):
     sim = Sim(CELL, epoch=5)
     assert sim.on_request(Request(robot="fr", cycle=cycle, lease_epoch=1)) == []
     assert sim.on_request(ask(rig, cycle=cycle)) == []
@@ -288,7 +286,7 @@ def test_the_gate_s_times_are_whole_cycles_that_are_not_shorter(rig):
     assert rig.mail["fr"][1].stop is ReasonCode.HLI_LOST
 
 
-def test_a_robot_server_that_began_anew_is_stopped_and_its_first_cycles_are_decided_anew(rig):
+def test_a_restarted_robot_server_is_stopped_and_its_cycles_count_from_one(rig):
     rig.sim.on_request(ask(rig))
     decided = rig.state.cycle
     again = next_state(rig, process=2, cycle=1)
@@ -530,11 +528,11 @@ def test_a_gate_that_recalls_another_s_memory_gives_its_answers(rig):
     assert heir.snapshot() == rig.sim.snapshot()
 
 
-def test_the_nearest_pair_of_robots_that_were_never_heard_is_none():
+def test_robots_without_a_state_have_no_nearest_pair():
     assert Sim(CELL, epoch=5).nearest() is None
 
 
-def test_the_nearest_pair_is_one_of_the_robots_that_were_heard(rig):
+def test_the_nearest_pair_is_of_robots_with_a_state(rig):
     alone = Sim(CELL, epoch=5)
     alone.on_state(next_state(rig, "gr"))
     assert not any(name.startswith("fr") for name in alone.nearest().pair)

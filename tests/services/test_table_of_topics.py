@@ -158,7 +158,7 @@ def test_a_robot_server_takes_no_admission_that_is_older_than_the_table_allows(
 
 
 @pytest.mark.parametrize("step_s", [0.004, 0.012, 0.02, 0.1])
-def test_a_pace_is_kept_on_average_whatever_the_clock_that_asks(step_s: float) -> None:
+def test_a_pace_is_kept_on_average_at_any_rate_of_polling(step_s: float) -> None:
     pace = Pace(0.1)
     assert sum(pace.due(k * step_s) for k in range(round(10.0 / step_s))) == pytest.approx(100, abs=1)
 

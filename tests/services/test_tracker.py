@@ -70,7 +70,7 @@ def test_a_state_that_was_overtaken_changes_nothing(tracker, time_s):
     np.testing.assert_array_equal(tracker.q_cmd, np.full(6, 0.2))
 
 
-def test_a_robot_server_that_began_anew_is_followed_from_there(tracker):
+def test_a_restarted_robot_server_is_followed_from_its_start(tracker):
     for cycle in range(50, 50 + LAG):
         tracker.observe(state(cycle, 0.2, time_s=5.0 + cycle))
     tracker.admitted(admission(9))
@@ -92,7 +92,7 @@ def test_a_restart_shows_in_the_first_state_of_the_new_process_and_in_no_other(t
     assert seen == [False, False, False, True, False, False]
 
 
-def test_of_processes_that_have_ended_no_state_is_taken_whatever_its_cycle(tracker):
+def test_no_state_of_an_ended_process_is_taken(tracker):
     for process in (1, 2, 3):
         tracker.observe(state(10, process=process))
     newest = tracker.state
@@ -136,7 +136,7 @@ def test_in_cycles_that_were_not_heard_a_setpoint_may_have_gone_as_far_as_the_sl
 
 
 @pytest.mark.parametrize("unseen", [1, 2, 5])
-def test_in_cycles_that_were_not_heard_a_setpoint_cannot_have_gone_further(tracker, unseen):
+def test_in_unheard_cycles_a_setpoint_cannot_have_moved_further(tracker, unseen):
     slowest = float(np.min(FR.max_velocity)) * CYCLE_S
     assert is_displaced(tracker, 1 + unseen, 0.001 + 1.001 * unseen * slowest, 0.001)
 
@@ -381,7 +381,7 @@ def state_of(motion, cycle):
     )
 
 
-def test_setpoints_of_cycles_that_were_not_heard_are_remembered_as_they_were_sent():
+def test_setpoints_of_unheard_cycles_are_remembered_as_sent():
     tracker, motion, sent = moving_in_flight()
     assert tracker.observe(state_of(motion, 13))
     np.testing.assert_array_equal(tracker.standing().points[-3:], sent)

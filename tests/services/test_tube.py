@@ -299,6 +299,6 @@ def test_a_single_window_is_halved_along_its_line():
     assert ends(right) == [4, 5]
 
 
-def test_a_robot_that_was_heard_once_is_where_it_said():
+def test_a_robot_with_one_state_is_where_that_state_says():
     piece = tube(HERE[None], Branch(np.zeros(2), 1, 0), DRIVES)
     assert (len(piece.points), piece.first, piece.last) == (1, 0, 0)

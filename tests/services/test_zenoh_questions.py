@@ -38,7 +38,7 @@ class Session:
 @pytest.mark.parametrize(
     ("topic", "goes_first"), [(topics.RESET, lambda _: True), (topics.STOP, None), (topics.STATUS, None)]
 )
-async def test_the_proven_and_those_who_stop_are_served_and_then_their_session_is_read_at_a_rate(
+async def test_proven_clients_and_stops_are_served_and_then_their_session_is_rate_limited(
     monkeypatch: pytest.MonkeyPatch, topic: topics.Topic, goes_first: Callable[[Any], bool] | None
 ) -> None:
     waits: list[Waits] = []

@@ -113,7 +113,7 @@ def test_a_controller_that_asks_for_too_much_is_scaled_and_passes_nothing(lab):
     assert cell.verdicts["scaled"] > 10
 
 
-def test_a_robot_that_is_where_nobody_may_be_is_found(lab):
+def test_a_robot_at_a_forbidden_position_is_found(lab):
     q = CellUnderTest(lab).q.copy()
     q[1] = np.deg2rad(30)
     cell = CellUnderTest(lab)

@@ -51,7 +51,7 @@ def told(clocks: SettableClocks) -> Iterator[tuple[int, Ask]]:
         process.kill()
 
 
-def test_only_the_clock_that_is_set_leaps_and_whoever_waits_does_not_wait_longer(
+def test_only_the_set_clock_leaps_and_no_wait_gets_longer(
     clocks: SettableClocks, told: tuple[int, Ask]
 ) -> None:
     pid, ask = told

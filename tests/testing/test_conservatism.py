@@ -23,7 +23,7 @@ class Timid:
         return replace(decision, outcome=Outcome.HELD, scale=0.0, reasons=(reason,))
 
 
-def test_refusals_without_cause_are_confirmed_by_nobody_and_their_room_is_told():
+def test_refusals_without_cause_are_found_with_the_room_that_was_left():
     stack = VirtualCell("lab")
     stack.sim.gate = auditor = Auditor(Timid(stack.sim.gate), stack.cell, every=1, samples=5)
     stack.run_until_ready()

@@ -67,7 +67,7 @@ def test_a_program_gives_the_same_run_as_a_function_that_does_the_same(lab, cell
 
 
 @pytest.mark.long
-def test_a_program_that_was_killed_is_started_anew(cell):
+def test_a_killed_program_is_restarted(cell):
     cell.drive_process(program())
     cell.suffer(fault("controller_dead", at_s=0.2, for_s=0.2))
     cell.run(0.5)

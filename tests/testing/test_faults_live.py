@@ -28,7 +28,7 @@ def test_a_frozen_gate_and_a_dead_robot_server_are_survived_by_real_processes(tm
 
 
 @pytest.mark.nightly
-def test_a_time_of_day_that_is_set_back_in_every_service_brakes_nobody(tmp_path):
+def test_a_time_of_day_set_back_brakes_no_robot(tmp_path):
     (row,) = live_table(write_private_cell(tmp_path), "fr", faults=[fault_named("wall-clock-back")]).rows
     assert row.good
     assert (row.reason, row.recovery) == (None, "by itself")

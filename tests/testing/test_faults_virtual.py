@@ -150,7 +150,7 @@ def test_telegrams_that_come_twice_change_nothing(lab):
 
 
 @pytest.mark.long
-def test_a_robot_server_that_starts_anew_is_not_reset_by_a_reset_of_old(lab):
+def test_a_restarted_robot_server_is_not_reset_by_an_earlier_reset(lab):
     stack = VirtualCell(lab)
     arm = stack.arms["fr"]
 
@@ -175,7 +175,7 @@ def test_a_robot_server_that_starts_anew_is_not_reset_by_a_reset_of_old(lab):
 
 
 @pytest.mark.long
-def test_a_reset_that_the_wire_kept_back_frees_nobody_when_it_comes(lab):
+def test_a_delayed_reset_releases_no_robot(lab):
     stack, to_sim = VirtualCell(lab), MessageWire()
     stack.plug(Link.HLI_SIM, Process.SIM, to_sim, ("fr", None))
 

@@ -76,7 +76,7 @@ def test_a_stop_right_after_a_reset_holds(pair):
     assert pair.cycles() is Phase.HELD
 
 
-def test_a_robot_server_that_starts_anew_takes_no_old_reset_for_a_new_one(pair):
+def test_a_restarted_robot_server_takes_no_old_reset_for_a_new_one(pair):
     pair.command("stop")
     pair.cycles()
     pair.command("reset")
@@ -89,9 +89,7 @@ def test_a_robot_server_that_starts_anew_takes_no_old_reset_for_a_new_one(pair):
 
 
 @pytest.mark.parametrize("further", [0, 1, 30])
-def test_a_robot_server_that_starts_anew_is_held_even_if_the_gate_hears_it_only_when_it_has_come_as_far(
-    pair, further
-):
+def test_a_restarted_robot_server_is_held_even_if_its_first_states_are_lost(pair, further):
     pair.command("stop")
     pair.cycles()
     reached = pair.server.state.cycle

@@ -276,7 +276,7 @@ def test_the_command_tells_a_difference_by_cycle_and_field_with_exit_status_1(
     assert "missing.mcap" in none.stderr
 
 
-def test_a_recording_in_which_nobody_asked_for_motion_is_not_good_and_says_so(tmp_path: Path) -> None:
+def test_a_recording_without_requests_is_not_good_and_says_so(tmp_path: Path) -> None:
     with virtual_cell("lab", record=tmp_path / "idle.mcap") as stack:
         stack.run_until_ready()
     result = replay(tmp_path / "idle.mcap")

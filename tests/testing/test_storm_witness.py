@@ -182,7 +182,7 @@ def test_an_admission_explains_one_step_only(wire):
         wire.judge()
 
 
-def test_a_session_that_begins_anew_has_no_correction(wire):
+def test_a_new_session_has_no_correction(wire):
     wire.drive()
     krc = wire.krc
     krc.tick(40)
@@ -214,7 +214,7 @@ def test_a_forgery_with_an_ipoc_of_an_earlier_session_is_answered_in_the_one_tha
         wire.judge()
 
 
-def test_the_forger_makes_every_kind_and_most_of_them_seem_to_be_somebody_else_s():
+def test_the_forger_makes_every_kind_mostly_under_other_names():
     forger = Forger(0)
     assert forger.forge() is None
     forger.overhear(telegram(1000, FR.home))
@@ -250,9 +250,7 @@ def test_a_pulse_goes_on_however_often_sessions_change_within_it(sign):
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_replies_to_another_session_in_the_middle_of_a_pulse_are_a_probe_s_and_more_than_that_is_nobody_s(
-    wire, sign
-):
+def test_replies_to_another_session_within_a_pulse_are_the_probes_up_to_its_size(wire, sign):
     wire.drive()
     probed = wire.judge()["by a probe"]
     krc, codec = wire.krc, wire.krc.driver._codec

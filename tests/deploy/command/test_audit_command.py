@@ -62,9 +62,7 @@ def test_a_cell_comes_up_without_a_log_where_none_can_be_kept(monkeypatch: pytes
 
 @pytest.mark.service
 @pytest.mark.parametrize("arguments", [(), ("--audit", "named.jsonl"), ("--no-audit",)], ids=str)
-def test_up_says_where_the_log_is_and_audit_shows_who_connected(
-    tmp_path: Path, arguments: tuple[str, ...]
-) -> None:
+def test_up_names_the_log_and_audit_shows_the_clients(tmp_path: Path, arguments: tuple[str, ...]) -> None:
     cell_file = write_private_cell(tmp_path)
     cell = load_cell(str(cell_file))
     environment = os.environ | {"XDG_STATE_HOME": str(tmp_path / "state")}

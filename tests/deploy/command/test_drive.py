@@ -214,7 +214,7 @@ def test_q_ends_a_drive_while_the_robot_moves_and_later_keys_are_not_for_the_she
 
 
 @pytest.mark.nightly
-def test_a_robot_that_somebody_drives_leads_another_while_it_is_coupled(cell: Path, tmp_path: Path) -> None:
+def test_a_driven_robot_leads_another_while_it_is_coupled(cell: Path, tmp_path: Path) -> None:
     terminal = Terminal(cell, "--mode", "coupled", "--master", "fr", "--master-scale", "0.5")
     wait_for_phase(cell, "engaged")  # before, keys are not for the robot
     terminal.press("c")

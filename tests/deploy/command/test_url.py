@@ -31,7 +31,7 @@ def server() -> Iterator[Server]:
 
 @pytest.mark.by_day(1)
 @pytest.mark.parametrize("verb", VERBS.values(), ids=VERBS.keys())
-def test_where_nobody_listens_one_line_says_what_to_start(verb: tuple[str, ...]) -> None:
+def test_without_a_listener_one_line_says_what_to_start(verb: tuple[str, ...]) -> None:
     nowhere = endpoint()
     done = deltaq(*verb, "--url", nowhere)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (3, "", 1)

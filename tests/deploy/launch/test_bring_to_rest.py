@@ -31,6 +31,6 @@ def test_a_robot_that_is_not_held_may_set_out_again(phase):
     assert not rests(status(phase, 1), status(phase, 5))
 
 
-def test_a_robot_that_nobody_hears_is_not_waited_for():
+def test_a_silent_robot_is_not_waited_for():
     assert rests(None, status(Phase.OFFLINE))
     assert rests(None, status(Phase.HELD, reason=ReasonCode.KRC_LOST))

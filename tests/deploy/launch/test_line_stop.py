@@ -25,7 +25,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     return certificate(tmp_path_factory.mktemp("certificate"))
 
 
-def test_where_nobody_listens_it_is_said() -> None:
+def test_a_missing_listener_is_reported() -> None:
     with pytest.raises(ServiceUnreachableError):
         stop_over_a_line(small_cell())
 
@@ -40,7 +40,7 @@ def test_it_is_obeyed_and_confirmed_or_said_not_to_be() -> None:
 
 
 @pytest.mark.parametrize("is_known", [True, False])
-def test_encrypted_lines_take_it_from_who_knows_their_certificate_and_from_who_does_not(
+def test_encrypted_lines_take_it_with_and_without_their_certificate(
     files: dict[str, str], is_known: bool
 ) -> None:
     with Server(encrypted=files) as server:
@@ -62,7 +62,7 @@ def test_a_certificate_that_others_have_signed_is_known_without_theirs(tmp_path:
         assert stop_over_a_line(server.description, files).what == "stop"
 
 
-def test_who_knows_the_certificate_believes_nobody_with_another_one_but_tells_him_to_stop(
+def test_a_server_with_another_certificate_is_not_trusted_but_gets_the_stop(
     files: dict[str, str], tmp_path: Path
 ) -> None:
     with Server(encrypted=certificate(tmp_path)) as server:

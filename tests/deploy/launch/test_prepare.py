@@ -214,7 +214,7 @@ def test_services_need_what_they_run_and_what_a_console_starts(
     assert needed_by(services, cell, "lab") == Needed(controllers, by_hand, gate)
 
 
-def test_drivers_of_a_cell_without_cameras_follow_nobody() -> None:
+def test_drivers_of_a_cell_without_cameras_follow_no_robot() -> None:
     cell = load_cell("dawm")
     services = cell_services(cell, "dawm")
     assert needed_by((*services, console_service(cell, "dawm", services)), cell, "dawm") == Needed((), "dawm")

@@ -118,7 +118,7 @@ def test_limits_are_those_of_the_containers(lab: dict[str, Unit]) -> None:
     assert words(lab["deltaq-console.service"], "RestrictRealtime") == ["yes"]
 
 
-def test_only_those_who_live_by_their_own_clock_are_watched(lab: dict[str, Unit]) -> None:
+def test_only_peers_with_a_clock_of_their_own_are_watched(lab: dict[str, Unit]) -> None:
     watched = {name for name, settings in lab.items() if "WatchdogSec" in settings}
     robots = [
         f"deltaq-{kind}-{robot}.service" for kind in ("robot-server", "emulator") for robot in ("fr", "gr")
@@ -154,7 +154,7 @@ def test_one_machine_of_several_gets_its_own_services(tmp_path: Path) -> None:
         units(str(cell), real=True, only=["emulator-fr"])
 
 
-def test_units_are_written_over_and_nobody_else_s_files_are(tmp_path: Path) -> None:
+def test_own_units_are_overwritten_and_other_files_are_not(tmp_path: Path) -> None:
     (tmp_path / "deltaq-mine.service").write_text("[Unit]\n")
     main(["lab", "--to", str(tmp_path)])
     main(["lab", "--to", str(tmp_path), "--real"])
@@ -163,7 +163,7 @@ def test_units_are_written_over_and_nobody_else_s_files_are(tmp_path: Path) -> N
     assert not any("emulator" in name for name in names)
 
 
-def test_a_cell_in_somebody_s_home_can_be_read_there() -> None:
+def test_a_cell_in_a_users_home_can_be_read_there() -> None:
     (sim,) = (service for service in cell_services(load_cell("lab"), "lab") if service.name == "sim")
     assert "ProtectHome=read-only" in unit(sim, "/home/desk/plant.yaml", PYTHON, [sim])
     assert "ProtectHome=yes" in unit(sim, "/etc/deltaq/plant.yaml", PYTHON, [sim])
