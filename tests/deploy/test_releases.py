@@ -67,6 +67,7 @@ def test_the_source_archive_makes_the_same_wheel_as_the_tree(
     assert [name for name in one if one[name] != other[name]] == []
 
 
+@pytest.mark.nightly
 def test_the_source_archive_has_the_tree_and_nothing_that_was_made(unpacked: Path) -> None:
     files = {str(file.relative_to(unpacked)) for file in unpacked.rglob("*") if file.is_file()}
     assert NEEDED - files == set()

@@ -76,18 +76,6 @@ def test_a_follower_far_away_keeps_the_bound_of_its_link_in_virtual_time(
     assert told["robots_clearance_m"] >= 0.05
 
 
-@pytest.mark.by_day(1)
-@pytest.mark.long
-@pytest.mark.parametrize("bound", BOUNDS[:2], ids=lambda bound: bound.link)
-def test_a_short_run_keeps_the_bound_of_a_round_trip_of_60_ms(
-    bound: FarBound, capsys: pytest.CaptureFixture[str]
-) -> None:
-    two_sites.main([*module_and_options(bound, 0)[1], *FAST])
-    told = json.loads(capsys.readouterr().out)
-    assert bound.virtual.is_kept(told), told
-    assert told["limits"] == NO_VIOLATION
-
-
 @pytest.mark.nightly
 def test_controllers_that_are_cut_off_for_two_seconds_lose_their_robots_at_rest_and_clear_of_one_another() -> (
     None

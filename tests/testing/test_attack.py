@@ -16,11 +16,10 @@ def assert_nothing_gave_way(report):
     assert report.gate.refused > 0
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.nightly)])
-def test_thousands_of_decisions_under_attack_break_nothing(seed):
-    report = run(seed=seed, duration_s=15.0)
+def test_hundreds_of_decisions_under_attack_break_nothing():
+    report = run(seed=4, duration_s=6.0)
     assert_nothing_gave_way(report)
-    assert report.decided > 1500
+    assert report.decided > 500
 
 
 @pytest.mark.by_day(1)
