@@ -76,7 +76,7 @@ PICTURE = """() => {
 
 
 @pytest.mark.nightly
-def test_what_was_drawn_off_the_page_is_shown_on_it_and_follows_what_moves(opened):
+def test_a_picture_drawn_off_the_page_is_shown_and_updated(opened):
     page = opened()
     page.wait_for_function("deltaq.stage.isFinest()")
     # a canvas of WebGL on the page would hold up whatever the page has to hear, a press of STOP too

@@ -86,7 +86,7 @@ UNSOUND = [
     UNSOUND,
     ids=[row[1] for row in UNSOUND],
 )
-def test_what_is_unsound_is_told_with_its_place(
+def test_an_unsound_description_is_reported_with_its_place(
     tmp_path: Path,
     edits: list[tuple[str, str]],
     field: str,
@@ -173,7 +173,7 @@ def test_a_robot_that_stands_in_the_floor_without_leave_is_told(tmp_path: Path) 
     assert any("structure/rail_north" in p.message for p in check_cell(path).errors)
 
 
-def test_what_cannot_be_loaded_is_reported_not_raised(tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_loaded_is_reported_not_raised(tmp_path: Path) -> None:
     report = check_cell(tmp_path / "gone.yaml")
     assert [p.message for p in report.errors] == ["no such file"]
     path, _ = checked(tmp_path, ("cycle_s: 0.012", "cycle_s: -1"))

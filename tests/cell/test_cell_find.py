@@ -51,7 +51,7 @@ def test_the_shipped_cells_are_registered() -> None:
         ("la.yaml", "no such file", None),
     ],
 )
-def test_what_is_not_there_is_answered_with_what_is_close(
+def test_an_unknown_name_is_answered_with_close_ones(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, message: str, suggestion: str | None
 ) -> None:
     (tmp_path / "mine.yaml").write_text("cell: mine")

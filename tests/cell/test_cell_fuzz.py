@@ -185,7 +185,7 @@ LAUGHS = "\n".join(
         "map in itself",
     ],
 )
-def test_what_is_deep_endless_or_empty_is_told(tmp_path: Path, text: str) -> None:
+def test_deep_endless_or_empty_input_is_reported(tmp_path: Path, text: str) -> None:
     assert not checked(tmp_path, text).ok
 
 

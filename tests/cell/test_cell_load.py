@@ -191,7 +191,7 @@ NO_CELL = [
 
 
 @pytest.mark.parametrize(("text", "line", "message"), NO_CELL, ids=[row[2] + str(row[1]) for row in NO_CELL])
-def test_what_is_no_mapping_of_yaml_is_told_with_its_line(
+def test_yaml_that_is_no_mapping_is_reported_with_its_line(
     tmp_path: Path, text: str, line: int | None, message: str
 ) -> None:
     problem = only(write(tmp_path, text))
@@ -269,7 +269,7 @@ def test_errors_of_an_extended_cell_point_into_the_file_they_are_in(tmp_path: Pa
         ("cell: a\nextends: circle.yaml\n", "extends this file in turn"),
     ],
 )
-def test_what_cannot_be_extended_is_told(tmp_path: Path, text: str, message: str) -> None:
+def test_an_invalid_extension_is_reported(tmp_path: Path, text: str, message: str) -> None:
     write(tmp_path, MINI, "base.yaml")
     write(tmp_path, "extends: lab.yaml\n", "circle.yaml")
     problem = only(write(tmp_path, text))
@@ -305,7 +305,7 @@ def test_a_cell_takes_out_what_it_inherits_by_null(tmp_path: Path) -> None:
     assert parse_cell(load_with_text(tmp_path / "lab.yaml")[1]) == cell  # the text stands alone
 
 
-def test_what_was_taken_out_may_be_put_back_by_a_cell_that_extends_further(tmp_path: Path) -> None:
+def test_a_removed_entry_may_be_restored_by_a_further_extension(tmp_path: Path) -> None:
     write(tmp_path, MINI, "base.yaml")
     write(tmp_path, "extends: base.yaml\nstructure: {pipe: null}\n", "bare.yaml")
     text = "extends: bare.yaml\nstructure: {pipe: {shape: {kind: sphere, radius_m: 0.2}}}\n"
@@ -326,7 +326,7 @@ def test_what_was_taken_out_may_be_put_back_by_a_cell_that_extends_further(tmp_p
         ("contacts: {touch: null}\n", 2, "contacts.touch", "take out; there is nothing"),
     ],
 )
-def test_what_is_not_there_cannot_be_taken_out(
+def test_an_absent_entry_cannot_be_removed(
     tmp_path: Path, text: str, line: int, field: str, message: str
 ) -> None:
     write(tmp_path, MINI, "base.yaml")

@@ -130,7 +130,7 @@ def test_a_robot_is_placed_where_pinocchio_has_it(cell, reference, proximity, se
 
 
 @seeded(12)
-def test_what_is_left_out_has_more_room_than_was_asked_for(cell, proximity, seed):
+def test_pairs_left_out_have_more_room_than_requested(cell, proximity, seed):
     """Every pair, as coal measures it: by balls, by boxes, and by the search that ends early."""
     random = np.random.default_rng(seed)
     drawn = spans(cell, random)
@@ -192,7 +192,7 @@ def test_nothing_that_was_asked_before_changes_a_bit(cell, proximity):
     assert answers(CompiledProximity(cell)) == first
 
 
-def test_what_fails_can_be_looked_at_again(cell, proximity):
+def test_failed_groups_can_be_checked_again(cell, proximity):
     random = np.random.default_rng(2)
     seen = 0
     for _ in range(30):

@@ -92,7 +92,7 @@ def test_a_course_that_turns_back_has_a_vertex_where_it_turns():
     assert (span_around(points)[0] + span_around(points)[2]).ravel().tolist() == [0.0, 2.0, 0.0]
 
 
-def test_what_is_left_of_a_curve_without_vertices_is_what_the_span_is_wide():
+def test_a_span_is_as_wide_as_the_curve_deviates_from_its_vertices():
     """Of an arc all points but its four vertices lie to one side of the lines between them."""
     t = np.linspace(0.0, 1.0, 40)
     points = np.stack([np.cos(t), np.sin(t)], axis=1)
@@ -110,7 +110,7 @@ def test_a_width_is_the_tolerance_and_what_the_spread_makes_of_the_fastest_step(
 
 @settings(max_examples=200, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 16), st.integers(1, 9))
-def test_what_is_found_beside_a_hull_is_what_a_programme_finds_or_less_than_the_width(seed, count, joints):
+def test_the_distance_from_a_hull_agrees_with_a_programme_beyond_the_width(seed, count, joints):
     random = np.random.default_rng(seed)
     points = np.cumsum(random.normal(size=(count, joints)), axis=0)
     width = random.uniform(0.01, 1.0, joints)

@@ -73,7 +73,7 @@ def test_a_name_without_a_scheme_is_taken_from_the_models_folder(tmp_path: Path)
         ("", "no file ''"),
     ],
 )
-def test_what_is_not_found_is_told_with_what_was_tried_and_what_to_set(
+def test_a_missing_file_is_reported_with_the_tried_paths_and_the_remedy(
     tmp_path: Path, name: str, message: str
 ) -> None:
     with pytest.raises(FileNotFoundError, match=message):

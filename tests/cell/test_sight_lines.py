@@ -63,7 +63,7 @@ def test_bodies_are_told_from_the_eye_on(lab: CellModel) -> None:
     assert {"structure/pipe_3", "structure/valve_1"} <= set(back)
 
 
-def test_what_is_at_the_target_or_at_the_eye_hides_nothing(lab: CellModel) -> None:
+def test_bodies_at_the_target_or_at_the_eye_hide_nothing(lab: CellModel) -> None:
     lines = SightLines(lab)
     top_of_tank, up = np.array([-0.8, -2.67, 1.02]), np.array([0.0, 0.0, 1.0])
     for height_m in (0.6, 0.001, 0.0):
@@ -86,7 +86,7 @@ def measured_beside(
     return {name: distance for name, distance in found.items() if name not in lines.bodies_at(target)}
 
 
-def test_what_is_beside_a_line_is_all_that_is_near_it_and_the_way_aside_clears_it(lab: CellModel) -> None:
+def test_bodies_beside_a_line_are_found_with_a_direction_that_clears_it(lab: CellModel) -> None:
     lines, random, moved = SightLines(lab), np.random.default_rng(1), 0
     for _ in range(400):
         eye, target = random.uniform([-1.5, -3.0, 0.0], [1.5, 1.5, 2.5], (2, 3))
@@ -110,7 +110,7 @@ def test_what_is_beside_a_line_is_all_that_is_near_it_and_the_way_aside_clears_i
     assert moved > 50
 
 
-def test_what_lies_at_the_target_is_not_beside_the_line(lab: CellModel) -> None:
+def test_a_body_at_the_target_is_not_beside_the_line(lab: CellModel) -> None:
     lines = SightLines(lab)
     (panel,) = (body for body in lab.structure if body.name == "structure/panel")
     target = np.array(panel.placement.translation)

@@ -326,7 +326,7 @@ def test_a_way_round_is_found_where_the_straight_way_is_barred() -> None:
 
 
 @pytest.mark.parametrize(("robot", "room_m"), [("dawm", 0.0), ("dawm", 0.02), ("gr", 0.0)])
-def test_what_keeps_its_distance_is_told_as_it_is_measured(robot: str, room_m: float) -> None:
+def test_a_pair_that_keeps_its_distance_is_reported_as_measured(robot: str, room_m: float) -> None:
     cell = CELL if robot == "dawm" else CellModel.load("lab")
     exact, model = ExactClearance(cell, robot), cell.robots[robot]
     q = model.home + np.random.default_rng(15).normal(size=(100, model.n)) * 0.5

@@ -214,7 +214,7 @@ def test_options_come_first_their_ways_follow_and_a_question_given_up_is_answere
 
 
 @pytest.mark.service
-def test_what_cannot_be_answered_is_told() -> None:
+def test_unanswerable_requests_are_reported() -> None:
     with advisor(travle=1.0) as asked:
         asked.ask(GR.home)
         wait_for(asked, lambda: not asked.is_busy)

@@ -137,7 +137,7 @@ def _cached(name: str) -> Case:
     return _KNOWN.setdefault(name, Case(name, "closed form"))
 
 
-def test_what_is_out_of_reach_or_no_pose_at_all_is_said_and_stops_nothing_else(case: Case) -> None:
+def test_an_unreachable_or_invalid_pose_is_reported_and_stops_nothing_else(case: Case) -> None:
     good = case.pose(0.5 * (case.lower + case.upper) + 0.3)
     bad = np.stack([good] * 6)
     bad[1, 0, 3] = np.nan

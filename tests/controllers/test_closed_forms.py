@@ -264,7 +264,7 @@ def test_solutions_are_fitted_to_limits_by_whole_turns() -> None:
     assert np.abs(fitted[inside] - (q - 2 * np.pi * np.eye(6)[5])).max(axis=1).min() < 1e-12
 
 
-def test_what_is_no_pose_and_what_is_no_hint_is_refused(name: str) -> None:
+def test_an_invalid_pose_or_hint_is_refused(name: str) -> None:
     solver = ARMS[name].solver
     for poses in (np.eye(3), np.zeros((2, 3, 4)), np.zeros((2, 2, 4, 4))):
         with pytest.raises(InverseError, match=r"\(4, 4\) or \(N, 4, 4\)"):

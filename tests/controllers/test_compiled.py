@@ -131,7 +131,7 @@ def test_where_the_code_cannot_be_written_to_what_was_installed_is_copied_to_the
     assert (kept / "law.nbi").read_text() == "machine code"
 
 
-def test_what_a_function_is_given_is_part_of_its_code(tmp_path: Path) -> None:
+def test_the_arguments_of_a_function_are_part_of_its_code(tmp_path: Path) -> None:
     package = tmp_path / "package"
     package.mkdir()
     (package / "law.py").write_text(ONE)
@@ -159,7 +159,7 @@ def test_machine_code_is_kept_by_package_and_that_of_a_script_beside_the_decorat
     assert package_of("__main__").name == package_of("no_such_module").name == "deltaq_cell"
 
 
-def test_what_makes_no_array_counts_no_users_and_what_makes_one_is_refused(
+def test_an_inlined_function_that_makes_an_array_is_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # of machine code that was kept numba tells nothing
@@ -185,7 +185,7 @@ def test_what_makes_no_array_counts_no_users_and_what_makes_one_is_refused(
         makes_no_array(zeros)(3)
 
 
-def test_what_is_inlined_takes_no_liberties_makes_no_array_and_stays_python(
+def test_an_inlined_function_makes_no_array_and_stays_python(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("deltaq_cell.compiled._folder", lambda _module: "")

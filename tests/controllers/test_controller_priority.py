@@ -52,7 +52,7 @@ def test_a_control_loop_and_the_threads_that_carry_its_messages_run_ahead_and_ar
 
 
 @needs_priority
-def test_what_a_controller_starts_is_ordinary() -> None:
+def test_a_controllers_child_has_ordinary_priority() -> None:
     program = "import os; print(os.sched_getscheduler(0))"
     with ahead_of_ordinary_programs():
         started = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)

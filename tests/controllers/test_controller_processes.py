@@ -74,7 +74,7 @@ def test_without_a_server_both_say_so_and_exit_with_3() -> None:
         pytest.param(LEADER, ("--robot", "xx"), "no robot 'xx'; it has fr, gr", marks=pytest.mark.nightly),
     ],
 )
-def test_what_the_cell_cannot_do_is_said_and_ends_with_2(
+def test_an_impossible_use_of_the_cell_ends_with_2(
     url: str, module: str, arguments: tuple[str, ...], message: str
 ) -> None:
     status, summary, err = finish(start(module, "--url", url, *arguments))

@@ -163,7 +163,7 @@ def test_a_hand_that_meets_a_moving_robot_stops_by_itself_and_the_gate_holds_nei
     )
 
 
-def test_what_the_gate_scales_is_gone_on_from() -> None:
+def test_motion_continues_from_the_scaled_increment() -> None:
     """The gate admits a part: the hand's line begins anew where it is, and nothing jumps."""
     run = PlainDrive("dawm", COUPLED)
     run.drive(1.0, z=0.1)

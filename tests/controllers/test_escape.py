@@ -166,7 +166,7 @@ def past_the_lens(speed: float) -> Attacker:
     return Attacker(lens[None], np.array([0.3]), lens, away, speed, NOTHING)
 
 
-def test_what_has_been_hit_is_hit_for_the_rest_of_a_course(arm: EscapingArm) -> None:
+def test_the_cost_of_a_contact_persists_for_the_rest_of_a_course(arm: EscapingArm) -> None:
     stay = Courses(FR.home[None], np.array([GAINS.steps]), FR.home[None])
     none = GAINS._replace(contact=0.0)
     costs = [
@@ -213,7 +213,7 @@ class Moving:
 
 
 @pytest.mark.parametrize("target", [LENS, 2])
-def test_what_a_tool_is_after_is_told_from_its_way(target: int) -> None:
+def test_a_tools_target_is_inferred_from_its_path(target: int) -> None:
     joints, lens = FR.joint_origins(FR.home), FR.camera_pose(FR.home)[:3, 3]
     point = lens if target == LENS else joints[target]
     pursuit = Pursuit(SCENE)

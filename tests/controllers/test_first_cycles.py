@@ -69,7 +69,7 @@ def test_nothing_is_compiled_while_a_robot_is_leased_where_nothing_was_before(
 
 
 @pytest.mark.nightly
-def test_what_is_compiled_ahead_of_driving_by_hand_is_all_that_it_needs(tmp_path: Path) -> None:
+def test_driving_by_hand_compiles_nothing_after_preparation(tmp_path: Path) -> None:
     package = Path(deltaq_controllers.__file__).parent
     shutil.copytree(package, tmp_path / package.name, ignore=shutil.ignore_patterns("__pycache__"))
 

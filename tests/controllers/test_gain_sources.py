@@ -57,7 +57,7 @@ def test_values_that_are_said_to_follow_from_others_do() -> None:
     assert (qp.evasion_range_m, qp.evasion_min_m) == (gains.repulsion_range_m, gains.repulsion_min_m)
 
 
-def test_what_is_said_of_the_costs_of_an_escape_holds() -> None:
+def test_the_documented_costs_of_an_escape_hold() -> None:
     gains = EscapeGains()
     assert gains.steps * gains.step_s == pytest.approx(2.0)
     assert gains.near < gains.close < gains.contact

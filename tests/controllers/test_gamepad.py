@@ -85,7 +85,7 @@ def test_a_joystick_without_a_mapping_is_refused_by_name(pad: VirtualPad) -> Non
         Gamepad(teleoperator()).__enter__()
 
 
-def test_what_is_held_as_the_drive_begins_has_to_be_let_go_first(pad: VirtualPad) -> None:
+def test_keys_held_at_the_start_of_a_drive_must_be_released_first(pad: VirtualPad) -> None:
     pad.press(MOVE)
     pad.push(*AHEAD)
     with Settled(teleoperator()) as gamepad:
@@ -121,7 +121,7 @@ def test_a_stick_or_trigger_that_never_rests_leaves_the_whole_pad_unarmed_but_fo
         assert gamepad.read(gamepad.time_s + CYCLE_S) is None
 
 
-def test_what_a_pad_tells_of_itself_as_it_is_found_is_no_press(pad: VirtualPad) -> None:
+def test_events_of_a_pad_as_it_is_found_are_no_press(pad: VirtualPad) -> None:
     with Gamepad(teleoperator()) as gamepad:
         assert gamepad.read(0.0) == REST
         # as a pad does whose first report comes late

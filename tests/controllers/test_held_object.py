@@ -59,7 +59,7 @@ def held(mode: DrivingMode = DrivingMode.COUPLED, frame: Frame = Frame.WORLD) ->
         ("dawm", OperatorCommand({"left.x": 0.1}), DrivingMode.COUPLED, "'left.x' moves one hand alone"),
     ],
 )
-def test_what_would_part_the_hands_is_refused(
+def test_a_motion_that_would_part_the_hands_is_refused(
     robot: str, command: OperatorCommand, mode: DrivingMode, told: str
 ) -> None:
     with pytest.raises(ControllerError, match=told):
@@ -213,7 +213,7 @@ def test_the_object_is_taken_and_let_go_at_rest_and_the_record_tells_it_apart(da
 
 
 @pytest.mark.long
-def test_what_stops_the_object_is_told_as_such() -> None:
+def test_the_limit_of_a_held_object_is_reported_as_such() -> None:
     run = held(DrivingMode.DECOUPLED)
     run.drive(3.5, rx=0.3)
     limitation = run.teleoperator.limitation

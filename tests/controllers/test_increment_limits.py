@@ -45,7 +45,7 @@ def test_an_increment_within_limits_passes_unchanged(robot: RobotModel) -> None:
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_what_is_admitted_at_a_glance_is_given_back_as_it_is(robot: RobotModel) -> None:
+def test_an_obviously_admissible_increment_is_returned_unchanged(robot: RobotModel) -> None:
     random, limits = np.random.default_rng(5), IncrementLimits.of(robot, CYCLE_S)
     count = {True: 0, False: 0}
     for _ in range(400):

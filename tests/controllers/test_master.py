@@ -130,7 +130,7 @@ def test_a_master_that_is_not_coupled_or_never_seen_moves_nothing() -> None:
     assert "is not seen" in unseen.status
 
 
-def test_what_goes_through_is_felt_in_the_hand_that_couples_the_master() -> None:
+def test_the_executed_fraction_is_felt_at_the_coupling_device() -> None:
     led = Led()
     led.input.reflect(0.25)
     assert led.clutch.felt == [0.25]

@@ -100,7 +100,7 @@ def test_an_edge_can_be_left_by_the_hand_as_well() -> None:
 
 @pytest.mark.long
 @pytest.mark.nightly
-def test_what_the_gate_holds_is_named_and_joint_mode_leads_out() -> None:
+def test_a_hold_of_the_gate_is_named_and_joint_mode_leads_out() -> None:
     run = StackDrive("gr", COUPLED)
     held = run.drive(8.0, z=-0.3)
     assert held.limitations[-1] == Limit.CLEARANCE
@@ -135,7 +135,7 @@ def verdict(outcome: Outcome, scale: float) -> Verdict:
 
 
 @pytest.mark.long
-def test_what_limits_is_reflected_and_speeding_up_is_not() -> None:
+def test_a_limit_is_reflected_and_an_acceleration_is_not() -> None:
     run = PlainDrive("gr", DrivingMode.JOINT)
     shares = []
     for _ in range(100):
@@ -162,9 +162,7 @@ def test_a_hand_that_is_slowed_down_on_its_line_is_told_by_how_much() -> None:
 @pytest.mark.parametrize(
     ("outcome", "scale", "share"), [(Outcome.SCALED, 0.25, 0.25), (Outcome.HELD, 0.0, 0.0)]
 )
-def test_what_the_gate_cuts_is_cut_from_what_the_mode_let_through(
-    outcome: Outcome, scale: float, share: float
-) -> None:
+def test_the_gates_reduction_applies_after_the_modes(outcome: Outcome, scale: float, share: float) -> None:
     reflection = Reflection(CYCLE_S)
     reflection.take_verdict(verdict(outcome, scale))
     for _ in range(200):

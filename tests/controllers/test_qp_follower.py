@@ -171,7 +171,7 @@ def test_an_attacker_that_goes_on_does_not_drive_it_into_a_corner() -> None:
 
 
 @pytest.mark.long
-def test_what_others_need_to_brake_in_gives_way_to_the_view() -> None:
+def test_the_braking_distance_of_others_gives_way_to_the_view() -> None:
     cornered = QpGains(room_weight=0.0, posture_weight=0.0)
     kept = attack(2.2, gains=cornered._replace(reserve_price=cornered.barrier_price))
     given = attack(2.2, gains=cornered)
@@ -220,7 +220,7 @@ class Zooming(QpFollower):
 
 
 @pytest.mark.long
-def test_what_the_view_leaves_free_does_not_drift_into_a_limit() -> None:
+def test_free_joints_do_not_drift_into_a_limit() -> None:
     # at its limits A3 or A5 would leave no way back to a greater distance
     controller = Zooming(Scene(lab(), "fr", "gr"), 1.25)
     leader = ScriptedLeader(lab().robots["gr"], CYCLE_S, 0.25, seed=2)

@@ -157,7 +157,7 @@ def test_a_trajectory_moves_the_robot_only_where_it_was_asked_for(server: Server
         assert counters == {"trajectories": 1, "ended_arrived": 1}
 
 
-def test_what_is_refused_is_told_in_a_line_and_a_lease_that_is_taken_ends_a_trajectory(
+def test_refusals_are_logged_in_a_line_and_a_taken_lease_ends_a_trajectory(
     server: Server, peer: RosPeer
 ) -> None:
     hli = server.description.hli
@@ -219,7 +219,7 @@ def test_whoever_is_not_there_at_the_beginning_is_named(server: Server) -> None:
         asyncio.run(Bridge(nowhere, RosSide(hli)).run())
 
 
-def test_what_cannot_be_is_told_before_anything_is_opened(server: Server, peer: RosPeer) -> None:
+def test_impossible_options_are_reported_before_a_file_is_opened(server: Server, peer: RosPeer) -> None:
     hli = server.description.hli
     with pytest.raises(BridgeUseError, match=f"--ros-endpoint {hli}: the cell's HLI listens there"):
         Bridge(hli, RosSide(hli))

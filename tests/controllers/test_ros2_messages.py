@@ -134,7 +134,7 @@ def hostile(offset, number):
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )  # fmt: skip
-def test_what_is_hostile_is_refused_by_field_value_and_bound(message, text):
+def test_hostile_input_is_refused_with_field_value_and_bound(message, text):
     with pytest.raises(RefusedMessageError) as refused:
         JointTrajectory.decode(message)
     assert str(refused.value).startswith(text)
@@ -205,7 +205,7 @@ def test_an_attachment_is_two_numbers_a_length_and_a_gid(sequence, time_ns, gid)
         (bytes(33), "attachment.gid is of length 0, allowed is 16"),
     ],
 )
-def test_what_is_no_attachment_is_refused(attachment, text):
+def test_an_invalid_attachment_is_refused(attachment, text):
     with pytest.raises(RefusedMessageError, match=text):
         RosAttachment.decode(attachment)
 
@@ -213,7 +213,7 @@ def test_what_is_no_attachment_is_refused(attachment, text):
 @pytest.mark.parametrize(
     "name", ["", "lab", "/lab/", "//", "/1lab", "/lab-4ms", "/lab/a__b", "/lab/*", "/a/%", "/é"]
 )
-def test_what_is_no_namespace_is_refused(name):
+def test_an_invalid_namespace_is_refused(name):
     with pytest.raises(RosNameError, match="no ROS namespace"):
         checked_namespace(name)
 

@@ -185,7 +185,7 @@ def test_a_stop_by_an_operator_ends_it_and_nothing_resumes_after_the_reset(lab: 
 
 
 @pytest.mark.long
-def test_what_the_gate_does_not_let_pass_is_stretched_and_given_up_with_the_gates_reason(lab: Any) -> None:
+def test_a_blocked_trajectory_slows_and_ends_with_the_gates_reason(lab: Any) -> None:
     driven = Driven(lab)
     down = driven.home.copy()
     down[1] = 0.5  # into the floor
@@ -346,7 +346,7 @@ def read(message, robot=ARM):
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )  # fmt: skip
-def test_what_a_robot_cannot_be_asked_is_refused_by_field_value_and_bound(message, text):
+def test_an_impossible_request_is_refused_with_field_value_and_bound(message, text):
     with pytest.raises(RefusedMessageError) as refused:
         read(message)
     assert str(refused.value).startswith(text)
@@ -387,7 +387,7 @@ def test_joints_may_come_in_any_order_and_a_gantry_has_its_units():
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_what_leads_from_where_the_robot_is_is_checked_too(points, text):
+def test_the_path_from_the_present_configuration_is_checked_too(points, text):
     asked = read(trajectory(A, *points))
     with pytest.raises(RefusedMessageError) as refused:
         path_from(asked, HERE, ARM)

@@ -107,7 +107,7 @@ def moving(cycle: int, time_s: float) -> RobotView:
     return RobotView(cycle, time_s, np.zeros(9), np.full(9, 0.1 * cycle * CYCLE_S))
 
 
-def test_what_is_foreseen_is_as_far_ahead_as_the_view_is_old_and_the_answer_late(lab: CellModel) -> None:
+def test_prediction_covers_the_age_of_the_view_and_the_delay_of_the_answer(lab: CellModel) -> None:
     other = foreseen(lab)
     own = RobotView(0, 10.0, np.zeros(6), np.zeros(6), ahead_cycles=5)
     for cycle in range(5):
@@ -151,7 +151,7 @@ def test_a_view_that_freezes_is_told_stale_then_lost_and_fresh_again(lab: CellMo
     assert other.velocity == pytest.approx(np.full(9, 0.1))
 
 
-def test_what_is_held_back_is_late_by_so_many_views_and_the_own_robot_is_not() -> None:
+def test_the_others_are_delayed_by_the_given_views_and_the_own_robot_is_not() -> None:
     class Watching:
         def increment(self, view: View) -> Array:
             return np.array([view.own.cycle, view.others["gr"].cycle])

@@ -104,7 +104,7 @@ POINT = (1.0, 2.0, 3.0)
         (ViewWish(targets=(ViewTarget(leader="aide"), STARTED)), (ViewTarget(leader="aide"), STARTED)),
     ],
 )
-def test_what_a_wish_leaves_out_is_as_the_follower_was_started(
+def test_omitted_values_of_a_view_are_those_at_the_followers_start(
     wish: ViewWish, targets: tuple[ViewTarget, ...]
 ) -> None:
     assert targets_of(wish, STARTED, "gr") == targets

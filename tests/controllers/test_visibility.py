@@ -88,7 +88,7 @@ def test_a_picture_is_as_high_as_it_is_told_and_half_as_wide_again(
     assert all(seen.in_picture) == is_inside
 
 
-def test_what_is_behind_the_camera_is_in_no_picture() -> None:
+def test_a_point_behind_the_camera_is_in_no_picture() -> None:
     assert look(at(0.0, 0.0, -1.0)).in_picture == (False, False)
 
 

@@ -252,7 +252,7 @@ def test_every_file_says_that_it_is_untested() -> None:
         ("lab", {"digital": {"grippper": 1}}, "no digital signal 'grippper'; it has gripper_closed"),
     ],
 )
-def test_what_cannot_be_written_is_told(cell: str, options: dict[str, object], message: str) -> None:
+def test_a_failed_write_is_reported(cell: str, options: dict[str, object], message: str) -> None:
     robot = "dawm" if cell == "dawm" else "gr"
     with pytest.raises(DeltaqError, match=re.escape(message)):
         written(cell, robot, **options)

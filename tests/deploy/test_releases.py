@@ -102,7 +102,7 @@ def test_a_file_for_the_host_follows_its_format(schema: str, file: Path) -> None
     assert checked.returncode == 0, checked.stdout
 
 
-def test_what_is_tested_is_what_is_promised() -> None:
+def test_the_tested_bounds_are_the_promised_ones() -> None:
     jobs = yaml.safe_load(WORKFLOW.read_text(encoding="utf-8"))["jobs"]
     assert jobs["debian-12"]["container"] == "debian:12"
     versions = ["3.11", *jobs["ubuntu-24-04"]["strategy"]["matrix"]["python"]]  # Debian 12's own is 3.11
@@ -114,7 +114,7 @@ def test_what_is_tested_is_what_is_promised() -> None:
     assert all(".ci/run" in command for command in last.values())
 
 
-def test_what_is_done_before_a_commit_is_what_make_lint_does() -> None:
+def test_the_commit_hook_runs_the_checks_of_make_lint() -> None:
     hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))["repos"]
     assert [source["repo"] for source in hooks] == ["local"]
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")

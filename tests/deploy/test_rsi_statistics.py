@@ -119,7 +119,7 @@ def test_another_cycle_than_the_cells_is_a_problem() -> None:
     assert problem.startswith("the cycle is 12.00 ms, the cell's 4 ms")
 
 
-def test_what_the_cells_file_does_not_list_is_named_and_what_is_missing_too() -> None:
+def test_unlisted_and_missing_elements_are_named() -> None:
     sent = telegrams(3)
     listed = watched(sent).summary().elements
     assert watched(sent, expected=listed).summary().problems == ()
@@ -143,7 +143,7 @@ def test_what_the_cells_file_does_not_list_is_named_and_what_is_missing_too() ->
         b'<Rob Type="KUKA"><IPOC>123456789012345678901</IPOC></Rob>',
     ],
 )
-def test_what_is_no_telegram_is_counted_and_stops_nothing(datagram: bytes) -> None:
+def test_an_invalid_telegram_is_counted_and_stops_nothing(datagram: bytes) -> None:
     assert look_at(datagram) is None
     statistics = watched([datagram, *telegrams(2)])
     assert (statistics.summary().garbled, statistics.telegrams) == (1, 2)

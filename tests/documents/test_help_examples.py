@@ -97,7 +97,7 @@ def test_every_example_of_a_help_text_runs(complete: Installed, tmp_path: Path) 
     read(file, complete, tmp_path, timeout_s=3500)
 
 
-def test_what_the_table_names_is_an_example() -> None:
+def test_every_entry_of_the_table_is_an_example() -> None:
     verbs = [verb for panel in VERBS.values() for verb in panel]
     examples = {example for verb in verbs for example in verb.examples}
     assert NOT_RUN.keys() | UNTIL_CTRL_C.keys() <= examples

@@ -165,9 +165,7 @@ def read(page: Path, installed: Installed, folder: Path, *options: str, timeout_
 @pytest.mark.service
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("page", [page for page in PAGES if page.name in SHORT], ids=lambda page: page.name)
-def test_what_a_reader_does_first_works_word_for_word(
-    page: Path, complete: Installed, tmp_path: Path
-) -> None:
+def test_the_first_pages_work_word_for_word(page: Path, complete: Installed, tmp_path: Path) -> None:
     complete.take_machine_code()  # `make nightly` compiles as a reader does, beside two busy programs
     read(page, complete, tmp_path)
 
@@ -245,7 +243,7 @@ def test_a_terminal_runs_until_ctrl_c_or_the_end_of_the_page(tmp_path: Path) -> 
     pages.Reader(tmp_path).read(page_of(SERVES, SAYS, "<!-- Ctrl-C -->", SERVES))
 
 
-def test_what_takes_long_is_left_to_the_night(tmp_path: Path) -> None:
+def test_long_blocks_are_left_to_the_nightly_tests(tmp_path: Path) -> None:
     long = "<!-- nightly: sh -->\n```sh\ntouch done\n```"
     pages.Reader(tmp_path).read(long)
     assert not (tmp_path / "done").exists()

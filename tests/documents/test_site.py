@@ -37,7 +37,7 @@ def build(config: Path, site: Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.long
-def test_what_leads_nowhere_or_is_led_to_from_nowhere_fails_the_build(tmp_path: Path) -> None:
+def test_a_dead_link_or_an_unlinked_page_fails_the_build(tmp_path: Path) -> None:
     config = re.sub(
         r"  api:\n(    - .*\n)+", "  api: []\n", (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
     )

@@ -281,7 +281,7 @@ for arguments in json.loads(sys.argv[1]):
 """
 
 
-def test_what_cannot_be_started_is_said_in_one_line_with_status_2() -> None:
+def test_a_failed_start_is_reported_in_one_line_with_status_2() -> None:
     with socket.socket(type=socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
         panel, free = (f"127.0.0.1:{port}" for port in (taken.getsockname()[1], *free_ports(1)))

@@ -23,7 +23,7 @@ STEP = 0.0005
         ("relative", 0, 5 * STEP),  # lost
     ],
 )
-def test_what_two_lost_telegrams_do_depends_on_correction_and_holdon(
+def test_the_effect_of_two_lost_telegrams_depends_on_correction_and_holdon(
     correction: str, hold_on: int, after_loss: float
 ) -> None:
     bench = Bench(correction=correction, hold_on=hold_on)

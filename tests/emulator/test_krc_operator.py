@@ -236,7 +236,7 @@ def test_a_forgery_leaves_linear_axes_where_they_are_and_may_move_the_programmed
     assert np.rad2deg(forged.q_programmed) == pytest.approx([0.0, 2.0], abs=1e-3)
 
 
-def test_what_is_awaited_is_answered_in_the_cycle_in_which_it_comes() -> None:
+def test_an_awaited_state_is_answered_in_its_cycle() -> None:
     bench = Bench(late_budget=8)
     panel = make_panel(bench)
     bench.cycle()  # a sensor that never replied is not missed
@@ -249,7 +249,7 @@ def test_what_is_awaited_is_answered_in_the_cycle_in_which_it_comes() -> None:
     assert [answer["state"] for answer in (*fifth, *stopped)] == ["RSI running", "stopped"]
 
 
-def test_what_holds_already_is_answered_at_once() -> None:
+def test_an_awaited_state_that_holds_already_is_answered_at_once() -> None:
     (answer,) = later(make_panel(Bench()), state="RSI running", at_rest=True)
     assert answer["ok"]
 
@@ -267,7 +267,7 @@ def test_rest_is_awaited_until_the_drives_have_caught_up() -> None:
     assert arrived[0]["q"] == pytest.approx([0.001] * 6, abs=2e-5)
 
 
-def test_what_does_not_come_in_time_is_told_with_what_is_instead() -> None:
+def test_a_timeout_is_reported_with_the_present_state() -> None:
     bench = Bench()
     panel = make_panel(bench)
     never = later(panel, state="drives off", within_s=0.03)

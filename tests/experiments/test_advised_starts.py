@@ -16,7 +16,7 @@ from studies.advised_starts import AdvisedStarts, main, run
 pytestmark = pytest.mark.long
 
 
-def test_what_was_made_of_the_starts_is_told_as_one_object(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_result_of_the_starts_is_one_object(capsys: pytest.CaptureFixture[str]) -> None:
     main(["--robot", "dawm", "--starts", "2", "--seed", "5", "--json"])
     found = AdvisedStarts.model_validate(json.loads(capsys.readouterr().out))
     assert (found.robot, found.starts, found.seed, found.driven) == ("dawm", 2, 5, 0)

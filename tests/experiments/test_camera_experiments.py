@@ -116,7 +116,7 @@ def test_the_speed_that_was_reached_is_the_path_over_the_time_and_the_most_of_an
     assert reached_speed(time_s[:3], points[:3]).peak == pytest.approx(0.5), "a run of less than 60 ms"
 
 
-def test_what_was_seen_is_told_as_shares_of_the_time() -> None:
+def test_visibility_is_reported_as_shares_of_the_time() -> None:
     hidden = Visibility((True, True), (("gr/finger", "gr/thumb"), ("gr/finger",)))
     half = Visibility((True, True), ((), ("structure/post",)))
     outside = Visibility((True, False), ((), ()))
@@ -391,7 +391,7 @@ def test_an_attack_that_corners_the_camera_never_touches_it(claim: Claim) -> Non
     [*(claim for claim in CLAIMS if claim not in (PAPER_ZOOM, PAPER_TRACKING)), *KEPT_ATTACKS],
     ids=lambda claim: claim.command,
 )
-def test_what_is_claimed_is_kept(claim: Claim) -> None:
+def test_claimed_bounds_are_kept(claim: Claim) -> None:
     module = {"approach": approach, "tracking": tracking, "zoom": zoom, "collision": collision}
     outcome = module[claim.experiment].run(claim.options)
     assert claim.holds(outcome.report.model_dump(mode="json"))

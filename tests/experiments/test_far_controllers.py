@@ -153,7 +153,7 @@ def test_a_jitter_beyond_the_delay_is_refused(capsys: pytest.CaptureFixture[str]
     ],
     ids=" ".join,
 )
-def test_what_cannot_be_followed_is_said_before_anything_starts(
+def test_an_impossible_follower_is_reported_before_any_start(
     wrong: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:

@@ -257,7 +257,7 @@ def test_with_a_lookahead_what_the_gate_held_is_told_as_held() -> None:
     assert causes(stamps, cycles, lookahead_cycles=2) == Counter({BrakeCause.GATE_HELD: 1})
 
 
-def test_what_lies_behind_a_break_of_the_chain_is_told_so() -> None:
+def test_admissions_after_a_break_of_the_chain_are_reported() -> None:
     """The admission for 6 is lost; that for 7 follows it and is refused, and the next one goes into 8."""
     lost = {"without": (StampStation.ADMISSION_AT_SERVER,)}
     stamps, cycles = ahead_stamps(8, braked=(6, 7), c4=lost)
@@ -309,9 +309,7 @@ def test_the_reference_counts_its_own_misses() -> None:
 
 
 @pytest.mark.parametrize(("cycle_s", "at_least", "at_most"), [(0.012, 99.9, 24.0), (0.004, 99.5, None)])
-def test_what_is_promised_depends_on_the_cycle(
-    cycle_s: float, at_least: float, at_most: float | None
-) -> None:
+def test_bounds_depend_on_the_cycle(cycle_s: float, at_least: float, at_most: float | None) -> None:
     stamps = RobotStamps()
     stamp(stamps, 4)
     times = hop_times([[0, 1, 2, 3, 4, 5]], cycle_s)
@@ -325,7 +323,7 @@ def test_what_is_promised_depends_on_the_cycle(
     assert (stolen.value, stolen.kept) == (25.0, None)
 
 
-def test_what_a_host_gave_to_others_is_told_of_the_window_alone(tmp_path: Path) -> None:
+def test_stolen_time_is_reported_for_the_window_alone(tmp_path: Path) -> None:
     stat = tmp_path / "stat"
     times = []
     for user, idle, stolen in ((100, 900, 50), (130, 920, 100)):

@@ -233,7 +233,7 @@ def test_figures_are_those_of_what_was_recorded(recorded: Path, cell: CellModel)
     assert (gr["cycles"], gr["admission_rate"], gr["interval_s"], gr["joints"]) == (0, None, None, [])
 
 
-def test_what_happened_is_told_in_the_order_of_time(recorded: Path) -> None:
+def test_events_are_reported_in_the_order_of_time(recorded: Path) -> None:
     events = read_run(recorded).events
     assert [(event.kind, event.robot, event.text) for event in events] == [
         (RunEventKind.FAULT, "fr", "krc_silent"),

@@ -53,7 +53,7 @@ def test_pairs_grow_with_robots_and_bodies_and_every_robot_is_decided_on(tmp_pat
         (["--figure", "/nowhere/scale.png"], "/nowhere/scale.png"),
     ],
 )
-def test_what_cannot_be_measured_or_written_is_said(
+def test_a_failed_measurement_or_write_is_reported(
     wrong: list[str], told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:

@@ -40,7 +40,7 @@ def env() -> CameraEnvironment:
         ({"latency_s": -0.1}, "latency_s must be a finite time of at least 0 s, got -0.1"),
     ],
 )
-def test_what_cannot_be_is_refused_when_the_environment_is_made(arguments: dict, said: str) -> None:
+def test_impossible_arguments_are_refused_when_the_environment_is_made(arguments: dict, said: str) -> None:
     with pytest.raises(DeltaqError, match=f"^{said}"):
         CameraEnvironment(**arguments)
 

@@ -59,7 +59,7 @@ def test_a_script_moves_a_robot_by_joints_by_its_tool_by_steps_and_by_a_controll
         assert np.abs(robot.q - start).max() < NEAR
 
 
-def test_what_cannot_be_raises_an_error_with_reason_value_and_bound(ready_stack):
+def test_an_impossible_motion_raises_an_error_with_reason_value_and_bound(ready_stack):
     with deltaq.connect(ready_stack.cell.hli) as cell, cell.lease("fr") as robot:
         with pytest.raises(ValueError, match=r"target of joint .* is not from"):
             robot.move_to([9.0, 0, 0, 0, 0, 0])

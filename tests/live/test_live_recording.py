@@ -91,7 +91,7 @@ def test_a_moving_cell_is_recorded_to_the_last_bit_and_outlives_a_recorder_whose
     assert "cut off" in cut.notices[0]
 
 
-def test_what_has_come_is_written_though_the_recorder_is_told_to_end(
+def test_received_messages_are_written_before_the_recorder_ends(
     ready_stack: SharedStack, tmp_path: Path
 ) -> None:
     file, stack = tmp_path / "run.mcap", ready_stack

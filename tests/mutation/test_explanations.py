@@ -35,7 +35,7 @@ def test_the_line_that_a_mutant_changes_is_there(mutant: Mutant) -> None:
     assert set(taken_out) <= lines
 
 
-def test_what_is_explained_is_of_files_that_are_mutated() -> None:
+def test_explained_mutants_belong_to_mutated_files() -> None:
     """Or nobody would ever compare the explanation with what survives."""
     assert {mutant.file for mutant in EXPLAINED} <= set(SETTINGS["only_mutate"])
 

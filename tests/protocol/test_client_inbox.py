@@ -25,7 +25,7 @@ async def settled() -> None:
         await asyncio.sleep(0)
 
 
-async def test_what_comes_faster_than_it_is_taken_is_dropped_oldest_first_and_counted() -> None:
+async def test_a_full_inbox_drops_the_oldest_and_counts() -> None:
     taken: list[int] = []
     inbox = ClientInbox(asyncio.get_running_loop(), taken.append, capacity=256)
     flood(inbox, 100_000)

@@ -56,6 +56,6 @@ def test_an_endpoint_says_which_sockets_a_listener_has_there(text, sockets):
         "quic/a:1",
     ],
 )
-def test_what_is_no_endpoint_is_told_with_what_is_one(text):
+def test_an_invalid_endpoint_is_reported_with_the_valid_forms(text):
     with pytest.raises(InvalidEndpointError, match=r"is no endpoint; write tcp/HOST:PORT"):
         Endpoint.parse(text)

@@ -58,7 +58,7 @@ def test_a_key_that_others_may_use_is_none(folder, mode):
 
 
 @pytest.mark.parametrize("name", ["certificate.pem", "authority.pem"])
-def test_what_others_could_have_written_is_not_believed(folder, name):
+def test_a_file_that_others_can_write_is_not_trusted(folder, name):
     (folder / "sim" / name).chmod(0o666)
     with pytest.raises(IdentityError, match=f"{name} has mode 0666, and others than its owner may write it"):
         read(folder / "sim")
@@ -78,7 +78,7 @@ def test_files_of_another_user_are_not_trusted(folder):
 @pytest.mark.parametrize(
     "content", [b"", b"secret", "\N{SNOWMAN}".encode(), b"-----BEGIN CERTIFICATE-----\n"]
 )
-def test_what_is_no_key_or_certificate_is_told_and_never_shown(folder, name, content):
+def test_an_invalid_key_or_certificate_is_reported_and_never_shown(folder, name, content):
     (folder / "sim" / name).write_bytes(content)
     with pytest.raises(IdentityError, match=rf"{name} holds no .*`deltaq keys") as refused:
         read(folder / "sim")

@@ -36,7 +36,7 @@ def test_a_verdict_on_nothing_that_was_sent_changes_nothing() -> None:
     assert reckoned(in_flight, state(10, 1.0, 1.5)) == (11, 1.5)
 
 
-def test_what_never_got_a_verdict_is_given_up_in_the_end_and_counted_once() -> None:
+def test_an_increment_without_a_verdict_is_given_up_and_counted_once() -> None:
     in_flight = InFlight()
     in_flight.ahead(state(10, 1.0, 1.5))
     in_flight.sent(1, [0.1], 10)
@@ -49,7 +49,7 @@ def test_what_never_got_a_verdict_is_given_up_in_the_end_and_counted_once() -> N
 
 
 @pytest.mark.parametrize("outcome", [Outcome.REFUSED, Outcome.HELD])
-def test_what_moves_nothing_is_reckoned_with_until_that_is_known(outcome: Outcome) -> None:
+def test_a_refused_increment_counts_as_in_flight_until_its_verdict(outcome: Outcome) -> None:
     in_flight = InFlight()
     in_flight.ahead(state(10, 1.0, 1.4))
     in_flight.sent(1, [0.1], 10)
@@ -59,7 +59,7 @@ def test_what_moves_nothing_is_reckoned_with_until_that_is_known(outcome: Outcom
     assert reckoned(in_flight, undecided) == (11, 1.5)
 
 
-def test_what_a_state_knows_of_is_not_reckoned_with_again_though_its_verdict_was_lost() -> None:
+def test_an_increment_shown_by_a_state_is_not_in_flight_without_its_verdict() -> None:
     in_flight = InFlight()
     in_flight.ahead(state(10, 1.0, 1.4))
     in_flight.sent(1, [0.1], 10)
@@ -67,7 +67,7 @@ def test_what_a_state_knows_of_is_not_reckoned_with_again_though_its_verdict_was
 
 
 @pytest.mark.parametrize("dq", [[float("nan")], [float("inf")], [0.1, 0.1], []])
-def test_what_is_no_increment_of_this_robot_is_refused_and_not_reckoned_with(dq: list[float]) -> None:
+def test_an_increment_of_the_wrong_shape_is_refused_and_not_in_flight(dq: list[float]) -> None:
     """Else one bad increment would make the next one bad, and that the one after."""
     in_flight = InFlight()
     in_flight.ahead(state(10, 1.0, 1.4))
@@ -78,7 +78,7 @@ def test_what_is_no_increment_of_this_robot_is_refused_and_not_reckoned_with(dq:
     assert reckoned(in_flight, undecided) == (12, 1.6)
 
 
-def test_what_was_scaled_counts_as_it_was_admitted() -> None:
+def test_a_scaled_increment_counts_as_admitted() -> None:
     in_flight = InFlight()
     in_flight.sent(1, [0.1], 10)
     in_flight.take(verdict(1, 13, 0.04, Outcome.SCALED))
@@ -103,7 +103,7 @@ def test_a_hold_forgets_all_that_was_sent() -> None:
     assert reckoned(in_flight, state(12, 1.0, 1.0)) == (13, 1.0)
 
 
-def test_what_lies_before_an_increment_that_was_admitted_is_taken_as_it_was_asked_for() -> None:
+def test_increments_before_an_admitted_one_count_as_requested() -> None:
     in_flight = InFlight()
     in_flight.ahead(state(10, 1.0, 1.4))
     in_flight.sent(1, [0.1], 10)

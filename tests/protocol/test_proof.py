@@ -28,7 +28,7 @@ def test_no_bit_of_a_proof_can_be_changed(bit: int) -> None:
 
 
 @given(proof=st.binary(max_size=2 * MAX_PROOF_BYTES))
-def test_what_is_no_proof_shows_nothing(proof: bytes) -> None:
+def test_an_invalid_proof_shows_no_nonce(proof: bytes) -> None:
     assert proven_nonce(key_of("secret"), KEY, MESSAGE, proof) is None
 
 

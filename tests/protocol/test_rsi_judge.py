@@ -84,7 +84,7 @@ REFUSED = [
     REFUSED,
     ids=[row[5] + row[1] for row in REFUSED],
 )
-def test_what_cannot_be_safe_is_refused_with_element_value_and_bound(
+def test_an_unsafe_file_is_refused_with_element_value_and_bound(
     edits: list[tuple[str, str]],
     element: str,
     value: object,
@@ -117,7 +117,7 @@ WARNED = [
 
 
 @pytest.mark.parametrize(("edits", "cell", "element", "message"), WARNED, ids=[row[3] for row in WARNED])
-def test_what_makes_an_outage_worse_is_a_warning(
+def test_a_setting_that_makes_an_outage_worse_is_a_warning(
     edits: list[tuple[str, str]], cell: Station, element: str, message: str
 ) -> None:
     finding = only(judge(file(*edits), cell))
@@ -246,7 +246,7 @@ def test_a_context_of_rsi_4_counts_from_zero() -> None:
         ),
     ],
 )
-def test_what_is_no_context_is_told(text: str, message: str) -> None:
+def test_an_invalid_context_is_reported(text: str, message: str) -> None:
     with pytest.raises(EthernetConfigError, match=f"c.rsi.xml: .*{message}"):
         parse_context(text, "c.rsi.xml")
 

@@ -207,9 +207,7 @@ def test_a_correction_that_cannot_be_written_is_refused(value: float) -> None:
         (b"</Rob>", b"</Rob>" + b" " * 5000, "at most 4096 bytes"),
     ],
 )
-def test_what_is_wrong_with_a_telegram_of_the_controller_is_said(
-    old: bytes, new: bytes, message: str
-) -> None:
+def test_the_fault_of_a_telegram_of_the_controller_is_named(old: bytes, new: bytes, message: str) -> None:
     with pytest.raises(TelegramError, match=re.escape(message)):
         SensorCodec(CANONICAL, ARM_AXES).decode(FROM_KRC.replace(old, new))
 
@@ -262,7 +260,7 @@ def test_white_space_between_elements_does_not_disturb_the_pc() -> None:
         (b"<" * 5000, "5000 bytes long, at most 4096"),
     ],
 )
-def test_what_is_wrong_with_a_reply_is_said(datagram: bytes, message: str) -> None:
+def test_the_fault_of_a_reply_is_named(datagram: bytes, message: str) -> None:
     with pytest.raises(TelegramError, match=re.escape(message)):
         KrcCodec(CANONICAL, ARM_AXES).decode(datagram)
 

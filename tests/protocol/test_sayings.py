@@ -31,7 +31,7 @@ def test_each_key_has_one_speaker_and_each_of_its_listeners_reads_that_topic(rob
 
 
 @given(ROBOTS)
-def test_what_is_of_one_robot_is_said_by_and_to_its_own_server_alone(robots):
+def test_topics_of_a_robot_belong_to_its_own_server_alone(robots):
     for row in sayings("cell", robots):
         if "{robot}" in row.topic.template:
             [robot] = [robot for robot in robots if row.key == row.topic.key("cell", robot=robot)]

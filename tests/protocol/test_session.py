@@ -162,7 +162,7 @@ def datagrams_between(near: tuple[str, int], far: tuple[str, int]) -> Iterator[l
         threads[1].join()
 
 
-def test_what_is_urgent_goes_as_a_datagram_and_what_has_to_arrive_does_not() -> None:
+def test_urgent_streams_use_datagrams_and_other_messages_do_not() -> None:
     one, other = (endpoint().partition("/")[2] for _ in range(2))
     host, _, port = one.rpartition(":")
     server = open_session(listen=[f"tcp/{one}", f"tcp+udp/{other}"])

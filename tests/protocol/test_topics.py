@@ -63,7 +63,7 @@ def test_a_query_has_a_reply_a_stream_has_none_and_both_carry_messages(topic: To
     assert (topic.reply is not None) == (topic.kind is Kind.QUERY)
 
 
-def test_what_moves_a_robot_has_a_greatest_age() -> None:
+def test_every_message_that_moves_a_robot_has_a_greatest_age() -> None:
     assert all(topic.age_s(0.012) >= 0.0 for topic in (INCREMENT, REQUEST, SERVER_STATE, ADMISSION, COMMAND))
 
 
@@ -85,5 +85,5 @@ def test_every_topic_has_a_publisher_and_a_reader(topic: Topic) -> None:
     assert bool(clients) == (topic.realm is Realm.OPEN)
 
 
-def test_what_the_hli_makes_of_a_sign_of_life_comes_no_faster_than_that() -> None:
+def test_the_hlis_heartbeat_comes_no_faster_than_its_rate() -> None:
     assert PROXIMITY.period_s(0.012) >= HEALTH.period_s(0.012)

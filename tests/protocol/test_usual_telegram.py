@@ -32,7 +32,7 @@ def test_a_telegram_of_the_controller_fits_and_a_piece_of_it_does_not():
     cut=st.integers(0, 3),
     added=st.binary(max_size=3) | st.sampled_from([b"_", b".", b"-", b"e", b"nan", b"1e9", b" ", b"\n"]),
 )
-def test_what_fits_is_read_by_the_codec_with_the_same_numbers(place, cut, added):
+def test_a_fitting_telegram_is_read_by_the_codec_with_the_same_numbers(place, cut, added):
     datagram = OWN[:place] + added + OWN[place + cut :]
     if not re.fullmatch(PATTERN.encode(), datagram):
         return

@@ -234,7 +234,7 @@ async def test_a_stop_is_read_before_the_lines_that_came_before_it() -> None:
 @pytest.mark.parametrize(
     "line", [b'{"type":"io","robot":"stop"}\n', b'"stop"\n', b'{"stop":"stop"\n', b'{"type":"stop"}']
 )
-async def test_what_only_looks_like_a_stop_is_none(line: bytes) -> None:
+async def test_a_lookalike_of_a_stop_is_no_stop(line: bytes) -> None:
     async with serving() as (hli, peer), json_client(peer.cell.tcp_port) as client:
         client.send_bytes(line * 3 if line.endswith(b"\n") else line)
         if line.endswith(b"\n"):

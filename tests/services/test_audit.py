@@ -59,7 +59,7 @@ def address_of(client: JsonClient) -> str:
 # --- strangers ------------------------------------------------------------------------------------------
 
 
-async def test_what_a_stranger_tries_over_a_line_is_named_with_his_address_and_his_proved_role(
+async def test_refused_attempts_over_a_line_are_logged_with_address_and_proved_role(
     running: Audited,
 ) -> None:
     async with json_client(running.port, "mallory") as client:
@@ -103,7 +103,7 @@ async def test_wrong_tokens_other_versions_and_no_hello_are_named(running: Audit
         assert (early["address"], early["text"]) == (address_of(client), "reset before the hello")
 
 
-async def test_what_a_stranger_tries_over_zenoh_is_named_and_counted(running: Audited) -> None:
+async def test_refused_attempts_over_zenoh_are_logged_and_counted(running: Audited) -> None:
     stranger = await asyncio.to_thread(OpenStranger, running.peer.cell.hli, "small")
     asked = LeaseRequest(robot="fr", action=LeaseAction.RELEASE, client="mallory", lease="guessed")
     proof = Prover("a guess").prove(topics.LEASE.key("small", robot="fr"), b"another message", b"n" * 8)
@@ -155,7 +155,7 @@ async def test_a_stop_in_the_clear_at_an_encrypted_line_is_named_with_its_addres
 # --- what is done -----------------------------------------------------------------------------------------
 
 
-async def test_what_is_done_is_named_with_what_became_of_it(running: Audited) -> None:
+async def test_actions_are_logged_with_their_results(running: Audited) -> None:
     async with (
         json_client(running.port, "driver", token=CONTROLLER) as driver,
         json_client(running.port, "chief", token=OPERATOR) as chief,
@@ -489,12 +489,12 @@ def test_each_setting_of_an_output_is_counted_by_what_was_set() -> None:
     assert counts == {"gripper on": 500, "gripper off": 500}
 
 
-def test_what_differs_is_told_apart_and_at_once() -> None:
+def test_different_actions_are_reported_apart_and_at_once() -> None:
     groups, deeds = DeedGroups(), [refused(), refused("another"), refused(address="10.0.0.8:1")]
     assert [groups.add(deed, 0.0)[0].deed for deed in deeds] == deeds
 
 
-def test_what_comes_once_is_told_once_and_again_after_the_second() -> None:
+def test_a_repeated_line_is_sent_at_once_and_again_with_its_count() -> None:
     groups = DeedGroups()
     assert groups.add(refused(), 0.0)
     assert groups.due(1.5) == []

@@ -118,7 +118,7 @@ def test_increments_that_were_held_up_lose_no_motion_and_the_robot_passes_no_lim
     assert way.robot.cut < 1e-9, "nothing was left for the gate to scale"
 
 
-def test_what_was_too_late_to_be_carried_is_told_so_and_moves_nothing() -> None:
+def test_an_increment_too_late_to_be_deferred_is_refused_and_moves_nothing() -> None:
     way = Way()
     ages = [[5]] * 100
     ages[60] = [5 + MOST_CARRIED_CYCLES + 2]
@@ -152,7 +152,7 @@ def test_a_controller_that_falls_silent_owes_nothing_and_finds_nothing_owed() ->
     assert way.robot.dq == 0.0
 
 
-def test_what_no_joint_can_do_is_left_to_the_gate_and_no_more_than_a_cycles_motion_of_it_is_carried() -> None:
+def test_an_impossible_increment_goes_to_the_gate_and_at_most_a_cycle_is_deferred() -> None:
     carried = new_carried()
     carried.asked((1e308,))
     assert carried.owed == (0.01,)

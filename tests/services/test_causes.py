@@ -170,7 +170,7 @@ def test_a_hold_without_a_reset_and_a_reset_without_an_order_are_found() -> None
     assert judged(reset, held, resets=4) is None
 
 
-def test_what_is_not_judged() -> None:
+def test_unjudged_parts_are_accepted() -> None:
     ghost = moving(2**40)
     assert judged(ghost, None) is None  # the first
     assert judged(ghost, BEFORE.model_copy(update={"process": 9})) is None  # of another process: held anyway

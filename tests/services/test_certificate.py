@@ -192,14 +192,14 @@ def test_where_nothing_stands_in_the_way_no_more_is_asked_for_than_was_refused()
     assert REFUSED - LEAST <= judged.largest() < REFUSED
 
 
-def test_what_is_refused_at_the_least_share_is_not_tried_again():
+def test_a_request_refused_at_the_least_share_is_not_tried_again():
     judged = Judged(up_to(0.0), up_to(LEAST))
     assert judged.largest() == 0.0
     assert judged.certificates == [LEAST]
 
 
 @given(st.frozensets(st.integers(1, 31)), st.lists(st.frozensets(st.integers(1, 31)), min_size=1, max_size=3))
-def test_what_is_found_was_certified_and_below_what_was_refused(certified, suspected):
+def test_a_found_share_is_certified_and_below_the_refused_one(certified, suspected):
     def of(shares):
         return lambda scale: round(scale / LEAST) in shares
 

@@ -151,7 +151,7 @@ def test_of_several_courses_of_another_robot_each_counts(certify):
     assert certify("fr", beside, far, near).holds is False
 
 
-def test_what_holds_leaves_nothing_open(certifier):
+def test_a_certificate_that_holds_has_no_open_pairs(certifier):
     beside, far = standing("fr", FR_BESIDE_GR), standing("gr", FAR)
     assert certifier(PROXIMITY).alone("fr", beside, PROXIMITY.alone["fr"]).failing is None
     assert (
@@ -164,7 +164,7 @@ def test_the_structure_is_told_before_the_other_robot(certify):
     assert certify("fr", low, ("gr", standing("gr", HOME["gr"]))).binding.nearest.pair[1] == "structure/floor"
 
 
-def test_what_holds_names_the_pair_with_the_least_room_of_all_that_were_looked_at(certify):
+def test_a_certificate_names_the_checked_pair_with_the_least_room(certify):
     beside = standing("fr", FR_BESIDE_GR)
     close = standing("gr", with_room(5e-4, "gr", BESIDE, 4))
     for binding in (
@@ -214,7 +214,7 @@ def corner(first, second, third):
     return Windows(np.array([first, second, third]), exact_drives(2, len(first)), 2, 2)
 
 
-def test_what_cannot_be_divided_further_is_certified_as_it_is_or_not_at_all(certify, fails_again):
+def test_an_indivisible_piece_is_certified_as_it_is_or_not_at_all(certify, fails_again):
     beside = standing("fr", FR_BESIDE_GR)
     around = corner(FAR, NEAR, NEAR + one_joint("gr", 0, 0.05))
     failed = certify("gr", around, ("fr", beside))

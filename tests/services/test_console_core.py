@@ -157,7 +157,7 @@ def test_a_clock_that_is_an_hour_off_makes_no_difference(driving_anna, bench, ho
     assert tower.send("jog", late_s=0.6, **jog).outcome is EXPIRED
 
 
-def test_what_waited_in_a_line_that_stood_still_expires(driving_anna, bench):
+def test_commands_that_waited_in_a_stalled_connection_expire(driving_anna, bench):
     """Twenty seconds of wishes come at once, the oldest first."""
     bench.now_s += 20.0
     late = [driving_anna.send("jog", late_s=20.0 - 0.1 * i, **JOG).outcome for i in range(100)]
@@ -195,7 +195,7 @@ def test_a_stop_needs_no_more_than_its_type(bench):
         ("dry_run", {"robot": "fr", "dq": [0.0]}, "6 joints, got 1"),
     ],
 )
-def test_what_does_not_fit_the_robot_is_refused(driving_anna, bench, kind, fields, words):
+def test_a_request_of_the_wrong_shape_is_refused(driving_anna, bench, kind, fields, words):
     ack = driving_anna.send(kind, **fields)
     assert ack.outcome is REFUSED
     assert words in ack.text
@@ -377,7 +377,7 @@ def test_a_silent_hli_is_told_and_the_old_view_is_marked(bench):
     assert desk.events("link") == ["the HLI is heard", "the HLI is silent: no answer", "the HLI is heard"]
 
 
-def test_what_bound_a_verdict_is_told_in_words_and_a_refusal_in_every_cycle_is_one_line(bench):
+def test_a_limiting_factor_is_shown_in_words_and_repeated_refusals_in_one_line(bench):
     bench.states()
     desk = bench.browser()
     near = Reason(code=ReasonCode.CLEARANCE, what="gr/link_3 structure/tank_1", value=0.052, bound=0.05)
@@ -408,7 +408,7 @@ def test_every_type_of_command_has_an_expiry_but_ping_and_stop(bench):
     assert set(kinds) == {*EXPIRY_S, "ping", "stop"}
 
 
-def test_what_waited_nine_seconds_in_a_line_is_not_carried_out_but_a_stop_is(driving_anna, bench):
+def test_a_command_that_waited_nine_seconds_expires_but_a_stop_does_not(driving_anna, bench):
     bench.now_s += 9.0
     bench.states()
     wishes = len(bench.driver_requests())

@@ -67,9 +67,7 @@ def refused(bench, desk, kind, **fields):
         ("choose_master", {"master": "g" * 65}, "master: "),
     ],
 )
-def test_what_a_robot_with_one_hand_cannot_do_is_refused_counted_and_disturbs_nothing(
-    lab, kind, fields, words
-):
+def test_commands_for_two_hands_are_refused_counted_and_disturb_nothing(lab, kind, fields, words):
     bench, desk = lab
     assert words in refused(bench, desk, kind, robot="fr", **fields)
     assert desk.send("jog", robot="fr", hand="tool", wish=TWIST).outcome is DONE
@@ -84,7 +82,7 @@ def test_what_a_robot_with_one_hand_cannot_do_is_refused_counted_and_disturbs_no
         ("mode", {"mode": "coupled", "grip": 1}, "grip: "),
     ],
 )
-def test_what_a_robot_with_two_hands_cannot_do_is_refused(dawm, kind, fields, words):
+def test_a_robot_with_two_hands_refuses_single_hand_commands(dawm, kind, fields, words):
     bench, desk = dawm
     assert words in refused(bench, desk, kind, robot="dawm", **fields)
 
@@ -105,7 +103,7 @@ def test_a_hand_does_not_leave_the_object_that_both_hold(dawm):
     assert bench.driver_requests("dawm")[-1].command == driving.OperatorCommand({"x": 0.1})
 
 
-def test_what_the_driver_refuses_is_told_and_counted(dawm):
+def test_refusals_of_the_driver_are_reported_and_counted(dawm):
     bench, desk = dawm
     assert desk.send("mode", id="m", robot="dawm", mode="joint", grip="object").outcome is ASKED
     desk.hears(bench.driver_answers("dawm", done=False, text="mode joint would part hands"))

@@ -75,7 +75,7 @@ def focus_shown(bench, robot=0):
     return decoded(bench.core.picture.frame(bench.now_s))[1][robot][0][10:]
 
 
-def test_what_a_camera_looks_at_is_marked_as_its_controller_says(bench):
+def test_a_cameras_target_is_marked_as_its_controller_says(bench):
     bench.states()
     half = math.sqrt(0.5)
     turned = ToolPose(position=(1.0, 2.0, 3.0), quaternion_wxyz=(half, 0.0, 0.0, half))  # x to y

@@ -97,7 +97,7 @@ def test_only_one_asks_at_a_time(bench, desk, tower):
     assert "is yours" in lease(desk, "ask").text
 
 
-def test_what_a_browser_drove_rests_and_is_released_when_it_has_gone(bench, desk, tower):
+def test_a_robot_rests_and_is_released_when_its_browser_has_gone(bench, desk, tower):
     bench.done(bench.core.disconnect(desk.client, bench.now_s))
     rest, release = bench.driver_requests()[-2:]
     assert rest == driving.GiveCommand()
@@ -176,7 +176,7 @@ def test_a_view_distance_reaches_the_follower_without_an_operator_session(bench)
     assert "not yours to move" in desk.send("mode", robot="fr", mode="follow").text
 
 
-def test_what_a_camera_looks_at_is_chosen_without_a_seat_and_said_back():
+def test_a_cameras_target_is_chosen_without_an_operator_session_and_confirmed():
     robots = CELL.robots | {"aide": CELL.robots["fr"]}
     bench = ConsoleBench(cell=CELL.model_copy(update={"robots": robots}))
     bench.states()
@@ -205,7 +205,7 @@ def test_what_a_camera_looks_at_is_chosen_without_a_seat_and_said_back():
         ({"robot": "fr", "targets": ["Gr!"]}, "targets.0: "),
     ],
 )
-def test_what_no_camera_can_look_at_is_refused(bench, fields, said):
+def test_an_impossible_camera_target_is_refused(bench, fields, said):
     answer = bench.browser().send("look_at", **fields)
     assert answer.outcome is AckOutcome.REFUSED
     assert answer.text.startswith(said)

@@ -190,7 +190,7 @@ def ipoc_of(krc, ipoc):
         lambda krc: (krc.codec.encode_ipoc_only(krc.ipoc), PEER),
     ],
 )
-def test_what_is_no_telegram_of_the_krc_that_follows_is_not_answered_and_hides_none(krc, wrong):
+def test_a_foreign_datagram_is_not_answered_and_hides_no_telegram(krc, wrong):
     brake, correction = krc.dead(), krc.correction
     krc.tick()
     assert brake.answer([wrong(krc)], krc.time_s) is None
@@ -241,7 +241,7 @@ def test_the_last_check_keeps_a_robot_where_it_is(krc):
     assert krc.stop
 
 
-def test_what_it_left_while_it_was_sent_says_whether_it_was(krc):
+def test_a_record_shows_whether_its_reply_was_sent(krc):
     assert krc.dead()._is_sent
     SENT.pack_into(krc.memory, RECORDS.sent_at, krc.number - 1)
     assert not krc.dead()._is_sent

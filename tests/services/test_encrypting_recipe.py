@@ -82,7 +82,7 @@ async def greeted(client: JsonClient) -> bool:
     return (await client.ask("welcome", **hello))["type"] == "welcome"
 
 
-async def test_what_the_page_prints_brings_a_client_without_tls_to_an_encrypted_hli(tmp_path: Path) -> None:
+async def test_the_printed_tunnel_connects_a_client_without_tls(tmp_path: Path) -> None:
     async with (
         encrypted(tmp_path) as (hli_port, trusted),
         in_front(hli_port, trusted) as port,

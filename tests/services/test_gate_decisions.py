@@ -48,7 +48,7 @@ def test_a_request_that_nothing_binds_is_admitted_as_it_is():
     assert decision.binding.room_m > 0
 
 
-def test_what_is_admitted_in_part_lies_between_brake_and_request_and_names_its_own_brake():
+def test_a_scaled_increment_lies_between_brake_and_request_with_its_own_brake():
     dq = 3 * one_joint("fr", 0, LIMITS["fr"].max_dv[0])
     robot = in_motion("fr", HOME["fr"], dq)
     decision = decide(robot, 3 * dq)
@@ -195,7 +195,7 @@ def test_the_other_robot_is_kept_clear_of():
     assert {part.split("/")[0] for part in decision.reasons[0].what.split()} == {"fr", "gr"}
 
 
-def test_what_was_just_admitted_to_the_other_robot_is_kept_clear_of():
+def test_the_newest_admission_of_the_other_robot_is_kept_clear_of():
     gr = at_rest("gr", with_room(2e-3, "gr", {"fr": FR_BESIDE_GR, "gr": GR_BESIDE_FR}, 4))
     robot = at_rest("fr", FR_BESIDE_GR)
     turns = [one_joint("fr", 0, 1e-4), one_joint("fr", 0, -1e-4)]
@@ -204,7 +204,7 @@ def test_what_was_just_admitted_to_the_other_robot_is_kept_clear_of():
     assert Outcome.HELD in [decide(robot, turn, [gr]).outcome for turn in turns]  # the one that leads nearer
 
 
-def test_what_is_admitted_for_clearance_is_certified_and_hardly_more_would_be():
+def test_a_scaled_increment_is_certified_and_a_larger_one_hardly():
     dq = one_joint("fr", 1, 3 * LIMITS["fr"].max_dv[1])
     robot, request = in_motion("fr", above_the_floor(2.2e-3), dq), 4 / 3 * dq
     decision = decide(robot, request)
@@ -258,7 +258,7 @@ def test_while_a_contact_is_allowed_its_robot_is_slow_and_told_why():
         assert slower.outcome is Outcome.ADMITTED
 
 
-def test_what_a_limit_holds_already_is_not_held_for_a_contact():
+def test_a_motion_held_by_a_limit_is_not_held_for_a_contact():
     step = LIMITS["fr"].max_dv[5]
     dq = one_joint("fr", 5, 4 * step)
     on_the_limit = HOME["fr"] + one_joint("fr", 5, LIMITS["fr"].upper[5] - HOME["fr"][5] - 6 * step)

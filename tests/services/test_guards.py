@@ -101,13 +101,13 @@ def fault(correction, last=(0.0, 0.0)):
 
 
 @pytest.mark.parametrize("correction", [(0.0, 0.0), (0.1, 0.2), (-0.1, -0.2), (0.1 * (1 + 5e-7), 0.0)])
-def test_what_a_joint_may_travel_in_a_cycle_is_sent(correction):
+def test_a_correction_within_a_joints_travel_is_sent(correction):
     assert fault(correction) is None
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("joint", [0, 1])
-def test_what_is_not_finite_is_refused(value, joint):
+def test_a_value_that_is_not_finite_is_refused(value, joint):
     correction = [0.0, 0.0]
     correction[joint] = value
     found = fault(correction)
@@ -152,7 +152,7 @@ def test_a_fault_says_joint_value_and_bound():
 
 
 @given(st.lists(st.floats(), min_size=2, max_size=2), st.lists(st.floats(-1, 1), min_size=2, max_size=2))
-def test_what_is_let_pass_is_a_small_step_inside_the_limits(correction, last):
+def test_an_accepted_correction_is_a_small_step_inside_the_limits(correction, last):
     if fault(correction, last) is None:
         for joint in (0, 1):
             assert abs(correction[joint] - last[joint]) <= MOST[joint] * (1 + 1e-6)
@@ -190,7 +190,7 @@ def test_a_joint_is_believed_to_its_limit_and_a_margin_and_no_further(plausible,
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_what_is_not_finite_is_nowhere(plausible, value):
+def test_a_position_that_is_not_finite_is_nowhere(plausible, value):
     assert plausible.of_place(with_joint(GR.home, 4, value)).joint == "a2"
     assert plausible.of_motion(with_joint(GR.home, 4, value), GR.home.tolist(), 1).joint == "a2"
 

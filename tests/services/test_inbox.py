@@ -86,7 +86,7 @@ def test_nothing_is_due_without_a_request_or_on_a_state_that_was_decided(inbox):
     assert not inbox.due(state())
 
 
-def test_what_is_in_hand_is_due_once_the_hli_has_spoken_in_that_cycle(inbox):
+def test_a_carried_over_request_is_due_after_the_hlis_first_message_of_the_cycle(inbox):
     holding(inbox).decided_cycle = HERE
     assert inbox.cycle_passed(HERE + 1, missed=False) is None
     assert not inbox.due(state(HERE + 1))
@@ -113,7 +113,7 @@ def test_by_two_cycles_a_heartbeat_may_overtake_its_state(inbox):
     assert inbox.due(state(HERE + 2))
 
 
-def test_what_overtook_its_state_is_due_as_soon_as_that_has_come(inbox):
+def test_a_request_that_overtook_its_state_is_due_when_the_state_comes(inbox):
     holding(inbox, cycle=HERE + 2)
     inbox.cycle_passed(HERE + 1, missed=False)
     assert not inbox.due(state(HERE + 1))
@@ -135,7 +135,7 @@ def test_a_request_from_far_off_does_not_speak_for_the_cycles_until_then(inbox):
     assert not inbox.due(state(HERE + 1))
 
 
-def test_what_waited_in_the_hli_for_a_state_waits_for_it_here_too(inbox):
+def test_a_request_that_waited_in_the_hli_waits_for_its_state_in_the_gate_too(inbox):
     inbox.put(request(seq=1).model_copy(update={"newest": HERE + 1}), HERE)
     assert not inbox.due(state())
     inbox.cycle_passed(HERE + 1, missed=False)
@@ -149,7 +149,7 @@ def test_a_heartbeat_of_another_lease_takes_what_waits_away(inbox):
     assert inbox.waiting is None
 
 
-def test_what_answers_a_state_older_than_the_one_before_is_in_hand_no_more(inbox):
+def test_an_answer_to_a_state_older_than_the_last_is_not_carried_over(inbox):
     late = request()
     inbox.put(late, HERE)
     assert inbox.cycle_passed(HERE + 1, missed=False) is None

@@ -160,7 +160,7 @@ def test_after_a_restart_of_the_gate_its_own_epoch_counts() -> None:
         ("reset", "reset is not confirmed: the gate did not answer within 0.5 s that fr is reset"),
     ],
 )
-def test_what_the_gate_does_not_confirm_in_time_is_told_as_that(kind: str, said: str) -> None:
+def test_a_missing_confirmation_of_the_gate_is_reported(kind: str, said: str) -> None:
     core, client = _hli(epoch=7), _Client()
     if kind == "stop":
         asked = core.requests.on_stop(StopRequest(), client, 50.0)

@@ -234,7 +234,7 @@ def test_a_brake_that_ends_outside_leaves_no_share(at_most):
     assert (reasons[0].what, reasons[0].value) == ("a1", pytest.approx(end[0]))
 
 
-def test_what_is_told_is_the_end_of_what_was_asked_for():
+def test_the_reported_end_is_that_of_the_requested_motion():
     """At the least share of the request another joint would be the one that ends outside."""
     brake, request = both(0, 2) * QUARTER, both(16, 2) * QUARTER
     scale, reasons = TWO_JOINTS.position_scale(brake, request, both(7.9, 7.9), 1.0)

@@ -131,7 +131,7 @@ def test_where_nothing_is_admitted_for_some_cycles_the_gate_counts_on_the_brake(
 
 
 @pytest.mark.parametrize("cycles", [(20, 22), (22,), (21, 24)])
-def test_what_follows_a_brake_that_is_still_to_come_is_due(cycles: tuple[int, ...]) -> None:
+def test_an_admission_after_a_future_brake_is_due(cycles: tuple[int, ...]) -> None:
     state = server_state("fr", 20, sequence=5, q_cmd=ZEROS, q=ZEROS, dq=DQ, plan=BRAKING)
     chain = chain_of(state, *cycles)
     assert still_due(state, chain) == chain
@@ -239,7 +239,7 @@ def test_nothing_that_came_before_a_hold_is_taken_after_it() -> None:
     assert server.core.counters["admission_while_not_ready"] == 3
 
 
-def test_what_was_decided_before_a_reset_does_not_follow_it() -> None:
+def test_no_decision_from_before_a_reset_follows_it() -> None:
     server = Server(2)
     late = following(
         SetpointMotion.of(server.state), server.state.cycle, 1, follows_resets=server.state.resets + 1
@@ -322,7 +322,7 @@ def decided(cycle: int, dq: tuple[float, ...] = DQ) -> Verdict:
     )
 
 
-def test_what_has_not_been_admitted_yet_is_told_as_the_brake() -> None:
+def test_a_pending_admission_is_reported_as_the_brake() -> None:
     ahead = AdmittedAhead(3, 0.012)
     state = server_state("fr", 20, q_cmd=ZEROS, q=ZEROS, dq=DQ, plan=BRAKING)
     assert (ahead.setpoint_cycle(state), ahead.q_ahead(state)) == (21, ZEROS)
@@ -364,7 +364,7 @@ def test_after_a_chain_that_broke_the_next_increment_has_all_the_time_there_is()
     assert ahead.q_ahead(braking_at(21))[0] == pytest.approx(STEP * (0.5 + 0.25))
 
 
-def test_what_the_gate_held_takes_a_setpoint_with_its_brake() -> None:
+def test_a_held_increment_takes_a_setpoint_with_its_brake() -> None:
     ahead = AdmittedAhead(3, 0.012)
     ahead.decided(decided(21), braking_at(20))
     held = Verdict(robot="fr", cycle=20, seq=22, outcome=Outcome.HELD, dq=ZEROS)

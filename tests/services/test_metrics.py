@@ -96,7 +96,7 @@ def value(read: Samples, sample: str, /, **labels: str) -> float | None:
     return read.get((sample, tuple(sorted(labels.items()))))
 
 
-async def test_what_is_read_is_the_status_and_how_long_verdicts_took() -> None:
+async def test_metrics_show_the_status_and_the_delays_of_verdicts() -> None:
     async with running() as (peer, reader), connect(peer.cell.hli, "test") as cell, cell.lease("fr") as robot:
         for _ in range(3):
             await peer.turn()
@@ -121,7 +121,7 @@ async def test_refusals_are_told_by_their_reason() -> None:
         assert value(await reader.read(), "deltaq_refusals_total", reason="lease_not_held") == 1
 
 
-async def test_what_clients_tried_in_vain_is_told_by_what_it_was_and_why() -> None:
+async def test_refused_attempts_are_counted_by_action_and_reason() -> None:
     async with running() as (peer, reader), json_client(peer.cell.tcp_port) as rude:
         for _ in range(2):
             await rude.ask("error", type="reset", robot="nobody")
@@ -179,7 +179,7 @@ async def test_clients_are_counted_over_zenoh_and_over_lines() -> None:
         await reader.until(connected(1, 0))
 
 
-async def test_what_a_client_calls_itself_is_in_no_label() -> None:
+async def test_no_label_contains_a_clients_name() -> None:
     name = 'stranger"}\ndeltaq_up 7\n'
     async with running() as (peer, reader), json_client(peer.cell.tcp_port, name=name) as client:
         assert (await client.ask("lease", type="lease", robot="fr", action="acquire"))["granted"]
@@ -284,7 +284,7 @@ def without_names(template: str) -> str:
 
 
 @pytest.mark.parametrize("service", [HLI, SIM, ROBOT_SERVER, CONSOLE])
-def test_what_a_service_counts_has_a_row_and_every_row_is_counted(service: str) -> None:
+def test_every_counter_has_a_row_and_every_row_a_counter(service: str) -> None:
     sources = [file.read_text() for file in (SERVICES / service).glob("*.py")]
     in_code = {name for source in sources for name in counted(source)}
     in_table = {without_names(row.name) for row in COUNTERS if row.service == service}

@@ -180,7 +180,7 @@ def test_a_pulse_is_as_short_as_limits_of_acceleration_allow(cycle_s):
 
 
 @pytest.mark.parametrize("cell", [LAB, LAB_4MS])
-def test_what_is_said_to_be_a_pulse_is_what_a_trial_adds_and_then_takes_away(cell):
+def test_a_trial_adds_a_pulse_and_its_negative(cell):
     pulse = pulse_offsets(cell.robots["gr"], cell.cycle_s)
     arm = Arm(cell=cell)
     arm.trial(180)
@@ -458,7 +458,7 @@ def test_a_joint_that_stays_a_quarter_of_a_pulse_away_is_not_back(within, sign):
 
 
 @pytest.mark.parametrize("early", [FIRST - 1, SECOND - 1])
-def test_what_is_seen_before_a_pulse_can_be_is_no_response(early):
+def test_motion_before_a_pulse_can_arrive_is_no_response(early):
     assert joint_modes(course((early, 1.0)), SHAPE, WINDOW) == [Mode.UNKNOWN]
 
 
@@ -492,7 +492,7 @@ def cut(pulses, value, pulse=0.5):
     return pulses
 
 
-def test_what_was_sent_in_a_session_that_goes_on_is_not_looked_for():
+def test_corrections_of_a_continuing_session_are_not_searched_for():
     pulses = PulsesCutShort()
     pulses.sent(place(1.5), place(1))
     np.testing.assert_array_equal(pulses.undone(place(1.5)), place(1.5))

@@ -128,7 +128,7 @@ async def test_a_stop_that_is_said_after_a_while_is_taken_up(bench: Bench) -> No
 
 
 @pytest.mark.usefixtures("none_without_a_stop")
-async def test_what_only_looks_like_a_stop_is_not_taken_up_before_others(bench: Bench) -> None:
+async def test_a_lookalike_of_a_stop_is_not_accepted_before_others(bench: Bench) -> None:
     bench.connected(b'{"stop":1}\n')
     bench.connected(b'"stop"')
     await bench.let_in(2)

@@ -240,7 +240,7 @@ def test_of_many_stops_that_wait_for_an_answer_the_last_are_answered(rig):
     assert rig.state(Phase.HELD).latched() == list(range(36, 100))
 
 
-def test_what_was_not_ordered_is_remembered_as_nothing(rig):
+def test_an_order_that_was_not_given_is_not_remembered(rig):
     nothing = OrdersMemory(
         standing_stop=None, resets=0, outputs={}, cycles_without_hli=None, krc_silent=False, awaited_resets=()
     )

@@ -183,7 +183,7 @@ def test_after_a_state_that_never_came_the_newest_of_two_has_the_turn_and_the_ot
     assert (told.late, told.empty, told.waiting) == (1, 2, 0)  # that state's own turn, and that of its answer
 
 
-def test_what_is_told_begins_with_the_first_cycle_of_all() -> None:
+def test_the_report_begins_with_the_first_cycle() -> None:
     buffer = new_buffer()
     assert buffer.told().answered_cycle is None
     buffer.put(asked(0, 0), 0)
@@ -361,7 +361,7 @@ def test_an_increment_that_another_overtook_and_brought_is_no_duplicate_when_it_
     assert refused.reasons[0].code is ReasonCode.REPLAYED_SEQUENCE
 
 
-def test_what_is_repeated_is_judged_as_what_is_sent_and_told_by_its_own_number() -> None:
+def test_repeated_increments_are_checked_and_answered_by_their_own_number() -> None:
     bench = Bench()
     for _ in range(80):
         bench.turn()
@@ -426,7 +426,7 @@ def test_without_a_buffer_nothing_is_different() -> None:
 
 
 @pytest.mark.parametrize("ends", ["stop", "release", "held"])
-def test_what_waits_is_refused_by_name_when_the_robot_is_stopped_held_or_given_back(ends: str) -> None:
+def test_waiting_increments_are_refused_when_the_robot_is_stopped_held_or_released(ends: str) -> None:
     bench = Bench()
     for _ in range(20):
         bench.turn()

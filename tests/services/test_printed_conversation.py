@@ -109,5 +109,5 @@ def test_the_times_of_the_printed_conversation_tell_how_long_a_holder_may_be_sil
         ({"a": None}, {"a": 0}, False),
     ],
 )
-def test_what_differs_from_what_is_printed_is_seen(got: Any, wanted: Any, same: bool) -> None:
+def test_a_difference_from_the_printed_conversation_is_found(got: Any, wanted: Any, same: bool) -> None:
     assert is_as_printed(got, wanted) is same

@@ -25,7 +25,7 @@ def received(*parts: bytes) -> ReceivedLines:
         STOP[:-1] + b" " * MAX_LINE_BYTES + b"}\n",
     ],
 )
-def test_what_is_no_whole_stop_stays_where_it_is(other: bytes) -> None:
+def test_an_incomplete_stop_stays_unread(other: bytes) -> None:
     lines = received(other)
     assert not lines.take_stop(0)
     assert len(lines) == len(other)

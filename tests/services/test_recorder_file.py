@@ -89,7 +89,7 @@ def test_a_full_disk_is_told_and_ends_the_recording(cell: CellModel) -> None:
         write(Path("/dev/full"), cell)
 
 
-def test_what_was_written_comes_back_in_order(recorded: Path, cell: CellModel) -> None:
+def test_written_messages_are_read_in_order(recorded: Path, cell: CellModel) -> None:
     recording = Recording.open(recorded)
     read = list(recording.messages())
     assert [item.message for item in read] == [state(cell, cycle) for cycle in range(STATES)]

@@ -139,7 +139,7 @@ def test_the_process_prints_it_and_errors_are_one_line(recorded: Path, cell: Cel
     assert missing.stderr.count("\n") == 1
 
 
-def test_what_a_camera_looked_at_is_told_where_it_was(cell: CellModel, tmp_path: Path) -> None:
+def test_the_recorded_target_of_a_camera_is_shown_at_its_place(cell: CellModel, tmp_path: Path) -> None:
     half_turn = ToolPose(position=(1.0, 2.0, 3.0), quaternion_wxyz=(0.0, 0.0, 0.0, 1.0))
     looked = [
         ViewTarget(leader="gr"),

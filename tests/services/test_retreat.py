@@ -100,7 +100,7 @@ def test_a_retreat_that_has_begun_goes_on_without_a_rest():
     assert find(nearer_before, OUT, violations=known)[0] == 0.0  # its drives may still be there
 
 
-def test_what_is_admitted_begins_where_the_brake_goes_on_and_not_beyond_it():
+def test_an_admission_starts_where_the_brake_continues():
     known = violations_of(at_rest("fr", above_the_floor(-2e-3)))
     inwards = -0.2 * OUT
     moving = in_motion("fr", above_the_floor(-1e-3), inwards)

@@ -133,7 +133,7 @@ def test_a_robot_is_sent_its_outputs_and_whether_its_krc_has_to_end_the_motion()
     assert sent.motion_stop is True
 
 
-def test_what_is_admitted_before_the_first_telegram_is_counted_and_not_taken(rig):
+def test_an_admission_before_the_first_telegram_is_counted_and_not_taken(rig):
     server = RobotServer(CELL, "fr", process=1)
     for _ in range(2):
         server.take(rig.admission(STEP), 0.0)

@@ -206,7 +206,7 @@ def test_unsafe_files_end_it_with_status_2_and_every_reason(tmp_path: Path) -> N
 
 
 @pytest.mark.service
-def test_what_makes_an_outage_worse_is_told_and_it_serves(tmp_path: Path) -> None:
+def test_a_setting_that_makes_an_outage_worse_is_reported_and_it_serves(tmp_path: Path) -> None:
     process = start(tmp_path, ('<ELEMENT TAG="DEF_Delay" TYPE="LONG" INDX="INTERNAL" UNIT="0" />', ""))
     assert process.stdout is not None
     lines = []

@@ -353,7 +353,7 @@ def test_no_correction_goes_beyond_what_the_cell_allows():
     np.testing.assert_allclose(krc.server.state.q_cmd, krc.q, atol=1e-8)
 
 
-def test_what_is_no_telegram_is_an_error_and_changes_nothing(krc):
+def test_an_invalid_telegram_is_an_error_and_changes_nothing(krc):
     with pytest.raises(TelegramError):
         krc.driver.read(b"<Rob Type='nobody'>", krc.time_s)
     assert krc.cycle() is not None

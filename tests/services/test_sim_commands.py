@@ -159,7 +159,7 @@ def test_a_contact_that_the_cell_does_not_have_is_refused(rig):
     assert told(rig.sim, kind="contact", contact=CONTACT, allowed=True) == (True, None, "")
 
 
-def test_what_is_allowed_is_remembered_for_a_replay(rig):
+def test_allowed_contacts_are_part_of_a_snapshot(rig):
     rig.command(kind="contact", contact=CONTACT, allowed=True)
     memory = rig.sim.snapshot()
     assert memory.contacts == (CONTACT,)

@@ -146,7 +146,7 @@ def test_nothing_is_admitted_beside_a_robot_without_a_state(rig):
     assert verdict.reasons[0].what == "gr"
 
 
-def test_what_is_asked_of_a_new_server_in_its_first_cycle_is_answered_at_once(rig):
+def test_a_request_in_a_new_servers_first_cycle_is_answered_at_once(rig):
     rig.restart_server("fr")
     rig.cycle()
     assert rig.state.cycle == 1
@@ -220,7 +220,7 @@ def test_a_gate_begins_with_nothing():
     assert sim.snapshot().receipt == first_receipt(sim.fingerprint, 5)
 
 
-def test_what_the_gate_cannot_place_is_counted_each_time_and_not_answered(rig):
+def test_an_unplaceable_message_is_counted_each_time_and_not_answered(rig):
     for _ in range(2):
         assert rig.sim.on_state(next_state(rig).model_copy(update={"robot": "nobody"})) == []
         assert rig.sim.on_state(next_state(rig, q=(0.0,) * 9)) == []
@@ -485,7 +485,7 @@ def test_a_reset_that_is_refused_says_so_for_each_robot(rig):
     assert all(reply.message for reply in replies)
 
 
-def test_what_was_decided_last_and_what_is_violated_is_recalled_too():
+def test_the_last_decision_and_violations_are_restored_too():
     rig = Rig(fr=TOO_NEAR)
     assert rig.request(dq=tuple(-dq for dq in DOWN), seq=7).outcome is Outcome.ADMITTED  # it retreats
     memory = rig.sim.snapshot()

@@ -130,7 +130,7 @@ def test_the_reason_tells_the_speed_of_what_other_limits_leave_and_the_speed_tha
         assert floor_loss(brake + found * (DOWN - brake)) / CYCLE_S == pytest.approx(allowed, rel=1e-3)
 
 
-def test_what_other_limits_slow_enough_is_left_as_it_is():
+def test_a_motion_slowed_by_other_limits_is_left_unchanged():
     robot = at_rest("fr", above_the_floor(0.05))
     found, _ = scale(robot, DOWN)
     assert 0.0 < found < 1.0

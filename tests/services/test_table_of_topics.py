@@ -315,7 +315,7 @@ def test_no_client_reads_what_another_sends_nor_speaks_in_the_server_s_stead(
     assert topics.INCREMENT.key("lab", robot="fr") in overheard
 
 
-def test_what_clients_may_not_read_they_cannot_watch(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_clients_cannot_watch_topics_without_the_right_to_read(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(
         UnknownTopicError, match=r"'increment' is read by the HLI alone; .* are state, verdict, prox"
     ):

@@ -165,7 +165,7 @@ def test_where_verdicts_come_in_another_order_the_reckoning_is_right_again_with_
     assert max(off.values()) < 1e-12, off
 
 
-def test_what_was_clipped_is_asked_for_again_and_not_twice(lab: LoadedCell) -> None:
+def test_clipped_motion_is_requested_again_once(lab: LoadedCell) -> None:
     """To a place faster than is allowed: the gate clips, and the robot still stops where it should."""
     goal, limits = 0.4, IncrementLimits.of(lab.model.robots["fr"], lab.model.description.cycle_s)
 

@@ -24,7 +24,7 @@ def test_hundreds_of_decisions_under_attack_break_nothing():
 
 @pytest.mark.by_day(1)
 @pytest.mark.parametrize("lookahead_cycles", [2, 3])
-def test_what_is_in_flight_under_attack_breaks_nothing(tmp_path, lookahead_cycles):
+def test_admissions_in_flight_under_attack_break_no_invariant(tmp_path, lookahead_cycles):
     file = tmp_path / "ahead.yaml"
     file.write_text(
         f"extends: lab.yaml\ncell: ahead\ngate: {{lookahead_cycles: {lookahead_cycles}}}\n", encoding="utf-8"

@@ -74,7 +74,7 @@ def test_a_new_process_begins_with_a_new_object_of_a_class_and_a_function_goes_o
     assert len(called) > before
 
 
-def test_what_a_controller_raises_comes_out(lab):
+def test_an_error_of_a_controller_is_raised(lab):
     def fails(state):
         raise ZeroDivisionError("of the user's own")
 
@@ -181,7 +181,7 @@ def test_the_tracking_error_is_that_of_the_joint_that_is_furthest_off(lab):
         cell.tracking_error(lambda time_s: [0, 0])
 
 
-def test_what_makes_no_sense_is_refused(lab):
+def test_nonsensical_options_are_refused(lab):
     cell = CellUnderTest(lab)
     with pytest.raises(CellUseError, match="nobody drives fr: call drive"):
         cell.run(1.0)

@@ -38,7 +38,7 @@ def test_refusals_without_cause_are_found_with_the_room_that_was_left():
 
 
 @pytest.mark.nightly
-def test_what_adversaries_are_refused_is_mostly_confirmed():
+def test_most_refusals_of_adversaries_are_confirmed():
     figures = run("lab", seed=0, cycles=1500, every=5, samples=40)
     assert len(figures.rooms_m) > 10
     assert figures.confirmed_share > 0.8

@@ -61,7 +61,7 @@ def test_a_step_beyond_the_velocity_limit_is_never_good(robot):
     assert not is_good(judge(robot, [fast] * 5, unanswered=100), STOP_DISTANCES_M)
 
 
-def test_what_the_wire_makes_of_replies_is_the_krcs_to_judge_but_not_how_near_bodies_came(robot):
+def test_altered_replies_are_judged_by_the_krc_and_distances_all_the_same(robot):
     fast = [robot.max_velocity[0] * CYCLE_S * 1.1] * 5
     for near, good in (((0.1, 0.1), True), ((0.049, 0.1), False), ((0.1, 0.019), False)):
         altered = judge(robot, fast, near=near, protest="Command gear torque", altered_replies=True)

@@ -41,7 +41,7 @@ def test_whatever_is_done_to_a_stream_its_bytes_all_arrive_in_their_order_and_no
     assert stream.waiting_bytes == 0
 
 
-def test_what_stands_still_is_kept_and_comes_all_at_once():
+def test_bytes_of_a_stalled_stream_are_kept_and_come_all_at_once():
     stream = FaultyStream()
     stream.put(0.0, b"before")
     assert stream.take(0.0) == [b"before"]

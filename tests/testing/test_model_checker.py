@@ -129,7 +129,7 @@ def with_changed(part, **changes):
     return changed
 
 
-def test_what_tells_one_moment_of_the_wire_from_another_leaves_out_no_memory_of_the_driver():
+def test_the_wires_state_key_covers_all_memory_of_the_driver():
     line = AttackedSystem(1).start(0).line
     fixed = {"_codec", "_counters", "_plausible", "_near", "_most", "_widest", "_zero"}
     of_one_call = {"unmoved", "implausible", "fault", "detail"}
@@ -224,7 +224,7 @@ def test_every_phase_is_reached():
     assert phases == set(Phase)
 
 
-def test_what_tells_one_moment_from_another_leaves_out_no_memory_of_the_robot_server():
+def test_the_state_key_covers_all_memory_of_the_robot_server():
     told = {
         "state": {
             "process", "_motion", "_epoch", "_phase", "_reason", "_cycle", "_q_reset", "_told", "_state",

@@ -42,7 +42,7 @@ def along_a_random_course(random, cycles=60):
 
 
 @pytest.mark.long
-def test_what_is_not_measured_again_is_never_the_nearest():
+def test_an_unmeasured_pair_is_never_the_nearest():
     course = list(along_a_random_course(np.random.default_rng(1)))
     oracle = ClearanceOracle(CELL)
     for q in course:
@@ -53,7 +53,7 @@ def test_what_is_not_measured_again_is_never_the_nearest():
 
 
 @pytest.mark.long
-def test_what_is_not_measured_is_at_least_as_far_as_it_is_said_to_be():
+def test_an_unmeasured_pair_is_at_least_as_far_as_its_bound():
     oracle = ClearanceOracle(CELL)
     limits = oracle.stop_distances_m
     anything = np.full(limits.shape, np.inf)

@@ -116,7 +116,7 @@ def test_a_bad_field_is_named_with_line_value_and_bound_and_nothing_is_run(folde
         ("controller: turn.py:Turn", "command: [/nowhere]", "/nowhere cannot be started: No such file"),
     ],
 )  # fmt: skip
-def test_what_a_scenario_names_and_is_not_there_is_said_in_a_line(folder, before, after, told):
+def test_a_missing_file_of_a_scenario_is_reported_in_a_line(folder, before, after, told):
     result = invoke("run", changed(folder, (before, after)))
     assert isinstance(result.exception, DeltaqError)
     assert told in str(result.exception)
@@ -152,7 +152,7 @@ def test_every_expectation_can_fail(folder):
     }  # fmt: skip
 
 
-def test_what_a_controller_raises_fails_the_scenario_with_the_line_that_raised_it(folder):
+def test_an_error_of_a_controller_fails_the_scenario_with_its_line(folder):
     outcome = Runner(folder).run(load_scenario(changed(folder, ("turn.py:Turn", "turn.py:fails"))), "fails")
     ended = outcome.checks[0].finding
     assert not ended

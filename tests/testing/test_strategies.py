@@ -23,7 +23,7 @@ def test_drawn_faults_can_be_injected_and_end_in_time(faults):
 @pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize("cycles", [1, 7, 30])
-def test_what_fails_shrinks_to_the_one_fault_that_matters_as_early_and_as_short_as_it_may_be(cycles):
+def test_a_failing_schedule_shrinks_to_one_early_and_short_fault(cycles):
     def fails(faults):
         return any(
             timed.what.name == "controller-hli-cut" and timed.for_s > (cycles - 0.5) * GRID_S

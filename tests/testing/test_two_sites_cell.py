@@ -32,7 +32,7 @@ def test_the_cell_is_found_good(cell: Path) -> None:
     assert report.ok, report.errors
 
 
-def test_what_each_site_starts_is_together_what_the_cell_needs(cell: Path) -> None:
+def test_the_services_of_all_sites_are_those_of_the_cell(cell: Path) -> None:
     description = load_cell(str(cell))
     services = cell_services(description, str(cell), real=True)
     services = (*services, console_service(description, str(cell), services))

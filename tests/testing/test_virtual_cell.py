@@ -54,7 +54,7 @@ def test_of_two_clients_one_drives_and_the_other_only_when_the_first_has_died(la
     assert other.core.acquire() == [False, True]
 
 
-def test_what_was_meant_for_a_client_before_does_not_reach_the_one_that_takes_its_place(lab):
+def test_messages_for_an_earlier_client_do_not_reach_its_successor(lab):
     cell, down = ready(lab), MessageWire()
     connection = cell.connect(Listener, down=down)
     before = connection.core

@@ -130,9 +130,7 @@ def test_hands_out_of_reach_are_said_to_be_and_that_is_exit_status_1() -> None:
         (("--trade-off", "travel,travle"), "no criterion 'travle'"),
     ],
 )
-def test_what_is_asked_for_wrongly_is_answered_with_what_is_right(
-    arguments: tuple[str, ...], said: str
-) -> None:
+def test_a_wrong_request_is_answered_with_the_right_form(arguments: tuple[str, ...], said: str) -> None:
     done = deltaq("advise", "--offline", "--effort", "0.1", *arguments)
     assert done.returncode == 2
     assert said in " ".join(done.stderr.replace("│", " ").split())

@@ -37,7 +37,9 @@ def command(*options: str) -> list[str]:
         (("--listen", "tcp/192.0.2.1:9"), 3, "cannot listen on tcp/192.0.2.1:9"),
     ],
 )
-def test_what_cannot_be_done_is_told_with_what_can(options: tuple[str, ...], status: int, told: str) -> None:
+def test_impossible_use_is_reported_with_the_possible_one(
+    options: tuple[str, ...], status: int, told: str
+) -> None:
     words = command("--listen", SOMEWHERE, "--to", SOMEWHERE, *options)
     done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == status, done.stderr

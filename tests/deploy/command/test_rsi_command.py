@@ -93,5 +93,5 @@ def test_an_address_that_is_not_ours_is_told() -> None:
 @pytest.mark.parametrize(
     "arguments", [["sniff"], ["sniff", "--cell", "lab"], ["echo", "--cell", "lab"], ["echo"]], ids=" ".join
 )
-def test_what_is_missing_is_wrong_usage(arguments: list[str]) -> None:
+def test_a_missing_option_is_wrong_usage(arguments: list[str]) -> None:
     assert CliRunner().invoke(app, ["krc", *arguments]).exit_code == 2

@@ -36,6 +36,6 @@ def test_a_class_or_an_object_of_a_file_is_a_controller(file: Path, name: str) -
         ("{file}:nothing", "has no method increment"),
     ],
 )
-def test_what_names_no_controller_is_refused_with_what_there_is(file: Path, named: str, told: str) -> None:
+def test_an_unknown_controller_is_refused_with_the_known_ones(file: Path, named: str, told: str) -> None:
     with pytest.raises(typer.BadParameter, match=told):
         loaded(named.format(file=file))

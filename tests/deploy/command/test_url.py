@@ -40,7 +40,7 @@ def test_without_a_listener_one_line_says_what_to_start(verb: tuple[str, ...]) -
 
 
 @pytest.mark.parametrize("verb", VERBS.values(), ids=VERBS.keys())
-def test_what_is_no_address_is_wrong_usage(verb: tuple[str, ...]) -> None:
+def test_an_invalid_address_is_wrong_usage(verb: tuple[str, ...]) -> None:
     done = deltaq(*verb, "--url", "127.0.0.1")
     assert done.returncode == 2
     assert "'127.0.0.1' is no endpoint; write tcp/HOST:PORT" in done.stderr

@@ -68,7 +68,7 @@ def test_there_is_a_container_for_every_service_that_deltaq_up_starts(containers
         assert command[-len(service.arguments) - 1 :] == ["python", *service.arguments]
 
 
-def test_what_a_container_waits_for_has_a_health_check_or_an_end(containers: dict[str, Any]) -> None:
+def test_every_dependency_of_a_container_has_a_health_check_or_an_end(containers: dict[str, Any]) -> None:
     for container in containers.values():
         for name, awaited in container.get("depends_on", {}).items():
             ends = awaited["condition"] == "service_completed_successfully"

@@ -66,7 +66,7 @@ def test_a_console_that_inherits_the_operators_token_gets_one_of_its_own_which_n
     assert not list(folder.glob("console-*"))
 
 
-def test_what_a_killed_launch_left_is_replaced_and_no_link_is_followed(
+def test_files_of_a_killed_launch_are_replaced_and_no_link_is_followed(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("DELTAQ_CLIENT_TOKEN", CONTROLLER)

@@ -100,7 +100,7 @@ def test_a_run_without_any_room_at_all_goes_on(monkeypatch: pytest.MonkeyPatch, 
     assert told == [prepare.NOWHERE]
 
 
-def test_what_was_compiled_completely_is_neither_loaded_nor_looked_at_again(tmp_path: Path) -> None:
+def test_completely_compiled_code_is_not_checked_again(tmp_path: Path) -> None:
     code = (
         "import sys; from deltaq_controllers.camera import __main__ as camera;"
         "where = sys.argv[1]; camera.folder = lambda _: where; camera.mark_complete(where, 'paper', camera._PACKAGE);"
@@ -110,7 +110,7 @@ def test_what_was_compiled_completely_is_neither_loaded_nor_looked_at_again(tmp_
     assert printed(code, str(tmp_path)) == "0 []\n"
 
 
-def test_what_is_complete_for_one_controller_or_folder_is_not_for_another(tmp_path: Path) -> None:
+def test_compiled_code_is_complete_per_controller_and_folder(tmp_path: Path) -> None:
     machine_code.mark_complete(str(tmp_path), "paper", HERE)
     assert machine_code.is_complete(str(tmp_path), "paper", HERE)
     assert not machine_code.is_complete(str(tmp_path), "paper", HERE.parent / "cell"), "of another package"
@@ -166,7 +166,7 @@ PRINTS_ITS_WORDS = "import sys; print('compiling {}', *sys.argv[1:])"
         (Needed(gate=False), set()),
     ],
 )
-def test_what_is_needed_is_compiled_and_nothing_else(
+def test_only_needed_functions_are_compiled(
     monkeypatch: pytest.MonkeyPatch, needed: Needed, expected: set[str]
 ) -> None:
     near, look, drive = map(PRINTS_ITS_WORDS.format, ("near", "look", "drive"))
@@ -177,7 +177,7 @@ def test_what_is_needed_is_compiled_and_nothing_else(
         assert len(functions) == len(expected)
 
 
-def test_what_is_needed_is_compiled_side_by_side(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_needed_functions_are_compiled_in_parallel(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Each compiler waits until the two others have begun."""
     meets = (
         f"import os, sys; here = {str(tmp_path)!r}; open(os.path.join(here, '{{}}'), 'w').close()\n"

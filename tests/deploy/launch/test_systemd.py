@@ -178,7 +178,7 @@ def test_a_cell_in_a_users_home_can_be_read_there() -> None:
         (["lab", "--to", "units", "--only", "robot-server-xy"], "no service 'robot-server-xy'"),
     ],
 )
-def test_what_cannot_be_written_is_said_in_a_line(
+def test_a_failed_write_is_reported_in_a_line(
     wrong: list[str],
     told: str,
     tmp_path: Path,

@@ -66,7 +66,7 @@ def command_in(container: int) -> int:
 
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGKILL, 128 + 9), (signal.SIGTERM, 7)])
-def test_what_a_service_leaves_behind_ends_its_work_and_the_status_is_the_services(
+def test_leftover_children_of_a_service_end_and_the_status_is_the_services(
     number: signal.Signals, status: int
 ) -> None:
     with contained(LEAVES_ONE, BRAKES) as process:
