@@ -1,10 +1,10 @@
 """Lag of a robot's drives: its definition, its measurement from a response, and the gate's assumption.
 
-Drives reach a setpoint some time after it was sent. For linear drives the share `S(t)`
-of a step of the setpoint has arrived at the time `t` after it was sent. The gate presumes that every measured
-configuration lies in the hull of the setpoints of the last `gate.servo_lag_s`, up to the tracking tolerance. It is a
-mean of earlier setpoints, and older setpoints than those contribute the share `1 - S(servo_lag_s)`. So neither the
-mean delay nor the time to half a step shows whether this assumption holds; the settled lag does:
+Drives reach a setpoint some time after it was sent. For linear drives the share `S(t)` of a step of the setpoint has
+arrived at the time `t` after it was sent. The gate presumes that every measured configuration lies in the hull of the
+setpoints of the last `gate.servo_lag_s`, up to the tracking tolerance. It is a mean of earlier setpoints, and older
+setpoints than those contribute the share `1 - S(servo_lag_s)`. So neither the mean delay nor the time to half a step
+shows whether this assumption holds; the settled lag does:
 
     settled lag: the least T with |1 - S(t)| <= REMAINDER for every t >= T
 

@@ -5,10 +5,10 @@ of its points can travel while the joints stay in that box. The distance that co
 inflated bodies is a lower bound of theirs at every configuration of the box.
 
 Travel of a body, for joint half-widths h: `travel_i <= sum_j h_j * r_ij`, where r_ij is the largest distance of a
-point of body i from the axis of joint j at the middle of the box (1 for a prismatic joint). It holds because
-the joints can be moved one after the other from the base outwards: joint j then turns a chain whose outer
-joints still stand at the middle, so that r_ij is exact, and a chord is shorter than its arc.
-For two bodies of one robot only the joints between them count.
+point of body i from the axis of joint j at the middle of the box (1 for a prismatic joint). It holds because the
+joints can be moved one after the other from the base outwards: joint j then turns a chain whose outer joints still
+stand at the middle, so that r_ij is exact, and a chord is shorter than its arc. For two bodies of one robot only the
+joints between them count.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
 """Sends a controller's increments and takes their verdicts, with a lookahead and without.
 
-In a cell with a lookahead the verdict may take longer than a cycle: each state is answered at once, and increments
-    in flight are added (`deltaq_protocol.in_flight`). Without a lookahead (`q_ahead` is null) each verdict is
-    awaited before the next state is answered: not waiting gained nothing in a running cell (docs/notes/timing.md).
-    If the round trip takes longer, the lease asks for a jitter buffer, and the increments waiting there are in
-    flight, too.
+In a cell with a lookahead the verdict may take longer than a cycle: each state is answered at once, and increments in
+flight are added (`deltaq_protocol.in_flight`). Without a lookahead (`q_ahead` is null) each verdict is awaited before
+the next state is answered: not waiting gained nothing in a running cell (docs/notes/timing.md). If the round trip
+takes longer, the lease asks for a jitter buffer, and the increments waiting there are in flight, too.
 """
 
 from __future__ import annotations

@@ -69,7 +69,7 @@ class PathClock:
         """Add an exchange.
 
         An exchange that contradicts the estimate shows that a clock was set, or that a stamp was late: it is used
-            once another confirms it.
+        once another confirms it.
 
         Args:
             asked_s: when the request went out, on this clock [s].

@@ -1,10 +1,8 @@
 """The emulated controller as a process: one loop, one thread, sockets and time.
 
-The loop keeps absolute deadlines: it sends in every cycle, with or without replies, as a real controller does. If
-    the
-machine holds it up for longer than a cycle, the emulated time stands still instead of catching up in a burst, and
-the slip is counted. A reply that is missing in a cycle that this process itself began late does not count against
-the PC.
+The loop keeps absolute deadlines: it sends in every cycle, with or without replies, as a real controller does. If the
+machine holds it up for longer than a cycle, the emulated time stands still instead of catching up in a burst, and the
+slip is counted. A reply that is missing in a cycle that this process itself began late does not count against the PC.
 """
 
 from __future__ import annotations

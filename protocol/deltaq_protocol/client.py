@@ -6,8 +6,8 @@
                 verdict = await robot.move(dq)  # (n,) [rad or m] for one cycle; what was admitted comes back
 
 When a block is left, for any reason, nothing more is sent: the robot brakes to rest along a path that the gate has
-    certified. In a notebook, `await connect(...).open()` and `await cell.close()` do the same; a lease has `open`
-and `close`, too.
+certified. In a notebook, `await connect(...).open()` and `await cell.close()` do the same; a lease has `open` and
+`close`, too.
 
 If the controller or its round trip takes longer than a cycle, or the cell has a lookahead, do not wait for verdicts:
     call `await robot.send(dq)` and read `robot.new_verdicts()`; `deltaq_protocol.in_flight` keeps account of

@@ -255,16 +255,14 @@ class Way(Message):
     """One offered path: an option of the advisor, or the path to a pose.
 
     `rank` is the number by which it is chosen, and `q` the configuration at its end, (n,) [rad or m]. `points` are
-    configurations along the path from its start; if no path is known it is empty, and `why_not` says why. The
-    advisor
+    configurations along the path from its start; if no path is known it is empty, and `why_not` says why. The advisor
     ranks by `energy`; `energy_here` is the energy of the present configuration, and `costs` are the costs by
     criterion, from 0 (good) to 1 (bad). `near` has the nearest bodies of each kind, `self`, `environment` and
-    `robots`, without
-    pairs whose distance the hands' poses determine. `hands_leave`: the end effectors leave their poses along the
-    path and return to them. `clearance_m` is the distance of `pair`, the nearest bodies: at the end of an option, or
-    the least along a path to a pose. `clear` is the fraction of the path that keeps all distances and limits in a
-    simulation with the other robots at rest; `text` says this in words. `first` is the first increment of the path,
-    for the gate's dry run.
+    `robots`, without pairs whose distance the hands' poses determine. `hands_leave`: the end effectors leave their
+    poses along the path and return to them. `clearance_m` is the distance of `pair`, the nearest bodies: at the end
+    of an option, or the least along a path to a pose. `clear` is the fraction of the path that keeps all distances
+    and limits in a simulation with the other robots at rest; `text` says this in words. `first` is the first
+    increment of the path, for the gate's dry run.
     """
 
     rank: Annotated[int, Field(ge=1, le=99)]

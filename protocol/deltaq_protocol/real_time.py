@@ -1,8 +1,8 @@
 """Real-time priorities of the services on shared cores, and how a process asks for its own.
 
-A service nearer to the motors has the higher priority: a Robot Server before the gate, the gate before the HLI,
-    whose clients might keep it busy. An emulated KRC comes after the services that answer it. Controllers come last,
-    but before all ordinary programs.
+A service nearer to the motors has the higher priority: a Robot Server before the gate, the gate before the HLI, whose
+clients might keep it busy. An emulated KRC comes after the services that answer it. Controllers come last, but before
+all ordinary programs.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The independent checker: measures the distances of bodies, and checks limits.
 
 It shares only bodies and kinematics with the gate: it places every recorded configuration and measures every pair
-    that can be nearest, without inflating bodies. Limits are checked on the emulated controller's record of its
-    setpoints, not on a service's intentions.
+that can be nearest, without inflating bodies. Limits are checked on the emulated controller's record of its
+setpoints, not on a service's intentions.
 """
 
 from __future__ import annotations

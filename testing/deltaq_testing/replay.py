@@ -1,9 +1,9 @@
 """Runs a recording through the gate again, and compares all outputs bit for bit.
 
 The recorded inputs of the gate go into the same core in the same order, after a recorded snapshot of the gate was
-restored. Every admission, verdict, order and reply must be equal to the last bit, and so must
-every later snapshot; the receipts of the recorded refusals must form one chain. After a gap in the recording
-the replay continues from the next snapshot.
+restored. Every admission, verdict, order and reply must be equal to the last bit, and so must every later snapshot;
+the receipts of the recorded refusals must form one chain. After a gap in the recording the replay continues from the
+next snapshot.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Bounds of distances, from below and from above, each with a simple proof.
 
-From below by a plane: for any unit vector n, the gap between two bodies along n is at most their distance. From
-    above by two points, one of each body. The search for the best plane is that of Gilbert, Johnson and
-Keerthi (1988, IEEE J. Robotics and Automation 4(2)), but neither bound depends on its success: a failed search
-leaves the bounds far apart, and a lower bound that is too small never hides a near pair.
+From below by a plane: for any unit vector n, the gap between two bodies along n is at most their distance. From above
+by two points, one of each body. The search for the best plane is that of Gilbert, Johnson and Keerthi (1988, IEEE J.
+Robotics and Automation 4(2)), but neither bound depends on its success: a failed search leaves the bounds far apart,
+and a lower bound that is too small never hides a near pair.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """The configurations that a robot can reach with its hands in place: one component of its self-motion manifold.
 
 With the hands fixed, most configurations lie on other branches of an arm, or behind limits and bodies. So the search
-starts at the present configuration and stays within what can be reached from it: a tree spreads over the free
-joints, and
-from its best nodes the energy descends along edges that are checked in the same way. Each configuration has a path.
+starts at the present configuration and stays within what can be reached from it: a tree spreads over the free joints,
+and from its best nodes the energy descends along edges that are checked in the same way. Each configuration has a
+path.
 """
 
 from __future__ import annotations

@@ -4,10 +4,9 @@
 
 d is the distance between a body and the line from lens to focus, s the position on the line (0 to 1), and n the
 direction that clears it, perpendicular to the line. To move the line by some distance at s, the lens has to move 1 /
-(1 - s) times
-as far. The margin is half the distance between the eyes, less the farther along, so that both eyes see, and a little
-more. Of all bodies the one that needs the longest displacement counts. Angle and distance leave the lens two degrees of
-freedom, on a sphere round the focus; this task uses them.
+(1 - s) times as far. The margin is half the distance between the eyes, less the farther along, so that both eyes see,
+and a little more. Of all bodies the one that needs the longest displacement counts. Angle and distance leave the lens
+two degrees of freedom, on a sphere round the focus; this task uses them.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The camera follower as one quadratic programme per cycle.
 
-It does what the paper's law (9) does by projection, weights and gains: limits are constraints
-that account for the robot's brake, clearance is a barrier that accounts for the other robot's motion, and the view's
-tasks share the remaining freedom by their weights (`QpGains`). There is no null space: every task is a row.
+It does what the paper's law (9) does by projection, weights and gains: limits are constraints that account for the
+robot's brake, clearance is a barrier that accounts for the other robot's motion, and the view's tasks share the
+remaining freedom by their weights (`QpGains`). There is no null space: every task is a row.
 
     angle      (J_t / stretch) dq = -step(theta) e - (P p' / stretch) T      (3)-(5), in rad
     distance   -u . J_v dq        =  step(d) - u . p' T                      (14)

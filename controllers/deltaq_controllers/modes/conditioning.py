@@ -1,7 +1,7 @@
 """Conditioning of the tasks along the commanded direction, and the greatest speed towards a singularity.
 
-The measure is the mobility along the commanded direction, on the plain Jacobian: the travel of the tasks for each
-    rad of the least joint motion,
+The measure is the mobility along the commanded direction, on the plain Jacobian: the travel of the tasks for each rad
+of the least joint motion,
 
     mobility = |w| / |J^+ w|
 

@@ -12,8 +12,7 @@ that they act as an order: first the lines of the tasks, then clearance, then ro
 the lines, and in the null space of all of these the joints' drift. Where a constraint is active, the pace is reduced
 and the lines are kept.
 
-Every weight is alone on the diagonal of the cost, so widely different weights cause no rounding errors. The solver
-is
+Every weight is alone on the diagonal of the cost, so widely different weights cause no rounding errors. The solver is
 DAQP's dual active-set method (Arnström, Bemporad and Axehill, 2022, IEEE TAC 67(8)), started cold in each cycle: the
 same view gives the same increment, bit for bit.
 """

@@ -1,7 +1,7 @@
 """A mode whose joints follow from tasks, by one quadratic programme per cycle (`programme`).
 
 A mode names the tasks: motions of the hands, and joints that are driven by name. The rest is the same for all: the
-    acceleration towards the command, the end of a motion, and the limiting factor.
+acceleration towards the command, the end of a motion, and the limiting factor.
 """
 
 from __future__ import annotations

@@ -103,8 +103,7 @@ class Display:
     """Shows the mode, its limiting factor, and the advisor's options as they become known.
 
     On a terminal the state stays in one line, behind a bar of the executed fraction; otherwise there is a line for
-    each
-    change.
+    each change.
 
     Args:
         teleoperator: of the robot.

@@ -23,9 +23,9 @@ READY = "ready:"
 KEPT_LINES = 200
 
 NICENESS = -10
-"""Services run ahead of ordinary programs where the system allows it: a cycle does not wait.
-Those between a controller and the motors ask for real-time priority themselves, however they are started. The console
-shows and asks, and so do its drivers, which inherit its priority: it runs as an ordinary program does."""
+"""Services run ahead of ordinary programs where the system allows it: a cycle does not wait. Those between a
+controller and the motors ask for real-time priority themselves, however they are started. The console shows and asks,
+and so do its drivers, which inherit its priority: it runs as an ordinary program does."""
 
 
 @dataclass(frozen=True)

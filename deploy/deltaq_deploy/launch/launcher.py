@@ -85,11 +85,10 @@ class Launcher:
             launcher.start()
             launcher.wait()
 
-    Services of a guarded realm meet in a folder that this launch makes, and removes at its end;
-    consoles and controllers get the tokens that `given_tokens` tells of.
-    SIGINT, SIGTERM and SIGHUP are events inside the block if the thread is the main one; or they raise
-    KeyboardInterrupt there, for callers that do not wait for events. If this process is killed, its warden ends the
-    services; those that robots need to come to rest end last.
+    Services of a guarded realm meet in a folder that this launch makes, and removes at its end; consoles and
+    controllers get the tokens that `given_tokens` tells of. SIGINT, SIGTERM and SIGHUP are events inside the block if
+    the thread is the main one; or they raise KeyboardInterrupt there, for callers that do not wait for events. If
+    this process is killed, its warden ends the services; those that robots need to come to rest end last.
     """
 
     def __init__(

@@ -1,8 +1,8 @@
 """`deltaq krc lag`: the increments that measure the lag of each axis, and its evaluation from states.
 
-Pure: no clock, no I/O.
-One axis after the other makes a short step, rests, steps back, rests, and then goes out and back at a tenth of its
-speed. A step of three cycles at 12 ms shows how a setpoint arrives; the sweep shows how far a moving axis trails.
+Pure: no clock, no I/O. One axis after the other makes a short step, rests, steps back, rests, and then goes out and
+back at a tenth of its speed. A step of three cycles at 12 ms shows how a setpoint arrives; the sweep shows how far a
+moving axis trails.
 """
 
 from __future__ import annotations

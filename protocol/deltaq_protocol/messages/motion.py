@@ -175,11 +175,10 @@ class RobotState(Message):
     `setpoint_cycle`, and is added to `q_ahead`: the setpoint after all increments admitted so far, and after the
     brake in cycles without one. Without a lookahead both are null; they are then the next cycle and `q_cmd`.
     `playout` is present if the robot's lease asked for a jitter buffer. `sight` is how well the controller sees its
-    target, and `target` is that target's name, both from its newest increment; null if the increment has none.
-    `view` is the view
-    last requested of its camera; it outlives leases, so that the next follower uses the same view.
-    `gate` is the fingerprint of the gate: a hash of its code and one of its configuration; empty until the gate's
-    first message.
+    target, and `target` is that target's name, both from its newest increment; null if the increment has none. `view`
+    is the view last requested of its camera; it outlives leases, so that the next follower uses the same view. `gate`
+    is the fingerprint of the gate: a hash of its code and one of its configuration; empty until the gate's first
+    message.
     """
 
     type: Literal["state"] = "state"
@@ -218,9 +217,9 @@ class Increment(Message):
 
     `lease` is never sent, and is ignored if it is: the server fills in the lease. Over zenoh a proof shows the lease
     (`deltaq_protocol.proof`, with the token of the lease reply as the secret); over TCP the connection is the holder.
-    `sight` and `target` are for people: states repeat them, and no decision depends on them.
-    `earlier` has the increments sent just before, the oldest first, for a link that loses messages. One of them is used
-    if the lease has a jitter buffer and it has not come itself; without a jitter buffer they are ignored.
+    `sight` and `target` are for people: states repeat them, and no decision depends on them. `earlier` has the
+    increments sent just before, the oldest first, for a link that loses messages. One of them is used if the lease
+    has a jitter buffer and it has not come itself; without a jitter buffer they are ignored.
     """
 
     type: Literal["increment"] = "increment"
@@ -242,10 +241,10 @@ class Verdict(Message):
     if it goes into none. If its admission came too late for that cycle, the increment may be decided once more for
     the next one: another verdict on the same `seq` says so, and the last one counts.
 
-    `dq` is what was admitted; `scale` is s in `dq(s) = (1 - s) * brake + s * request`. `clearance_m` is the distance of
-    `pair`, the two bodies with the least distance beyond their stop distance at the middle of the tube.
-    `time_to_stop_s` is the length of the brake behind `dq`.
-    If the gate held or refused, `receipt` is the verdict's entry in the chain of refusals (`deltaq_protocol.receipts`).
+    `dq` is what was admitted; `scale` is s in `dq(s) = (1 - s) * brake + s * request`. `clearance_m` is the distance
+    of `pair`, the two bodies with the least distance beyond their stop distance at the middle of the tube.
+    `time_to_stop_s` is the length of the brake behind `dq`. If the gate held or refused, `receipt` is the verdict's
+    entry in the chain of refusals (`deltaq_protocol.receipts`).
     """
 
     type: Literal["verdict"] = "verdict"

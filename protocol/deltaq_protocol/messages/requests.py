@@ -104,9 +104,8 @@ class Description(Message):
 
     `kinematics` holds the kinematics by robot, computed from YAML and URDF, for clients that read neither. `hulls`
     holds the convex hulls that the gate uses in place of the collision meshes of a URDF: by robot and body, the
-    corners of a convex hull in
-    the frame of the body [m]. Visual meshes are not sent. `identity` is the cell's name and hash
-    (`deltaq_protocol.identity`); a client that has a file of the cell compares it with its own.
+    corners of a convex hull in the frame of the body [m]. Visual meshes are not sent. `identity` is the cell's name
+    and hash (`deltaq_protocol.identity`); a client that has a file of the cell compares it with its own.
     """
 
     type: Literal["description"] = "description"

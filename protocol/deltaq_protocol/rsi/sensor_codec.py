@@ -279,8 +279,7 @@ class SensorCodec:
             ipoc: as it came.
             correction: (n,) total (absolute) or this cycle's (relative) correction [rad or m].
             outputs: digital outputs by name; those not given are off.
-            text: shown on the pendant, if the configuration has `DEF_EStr` (`has_text`); cut to
-                80 characters.
+            text: shown on the pendant, if the configuration has `DEF_EStr` (`has_text`); cut to 80 characters.
             stop: end the motion on the controller's side, if the codec has a TAG for it.
 
         Raises:

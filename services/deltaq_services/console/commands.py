@@ -126,8 +126,7 @@ class Jog(ConsoleCommand):
 
     Without `hand` it is a speed for each joint, (n,) [rad/s or m/s]; with it a twist of that end effector, (6,):
     three linear [m/s] and three angular [rad/s] in the axes of the mode's frame. A `hand` of `*` is all of them, or
-    the
-    object between them. `led`: the master leads that end effector instead. `option` is the rank of a path whose
+    the object between them. `led`: the master leads that end effector instead. `option` is the rank of a path whose
     button is held down. `cycles` makes the command a step of so many cycles of the robot, which is not renewed.
     """
 

@@ -130,11 +130,11 @@ class Bound(Message):
 class RobotStatusView(Message):
     """One robot's status for a browser. `driving` is the status of its driver in words.
 
-    `goes_through` is the executed fraction of the command, in tenths; 1 if nothing limits it.
-    `grip` is the chosen grip; `hands_off` is present once the end effectors hold an object. `master` names the robot
-    that leads an end effector, with its displacement times `master_scale`; empty if none was chosen. `search` is
-    present in modes that offer paths, which come in `WaysView`. `looks_at` is the target of its camera in words, and
-    `sight` how well the controller sees it, if it says so; `targets` are the robots that it was asked to look at.
+    `goes_through` is the executed fraction of the command, in tenths; 1 if nothing limits it. `grip` is the chosen
+    grip; `hands_off` is present once the end effectors hold an object. `master` names the robot that leads an end
+    effector, with its displacement times `master_scale`; empty if none was chosen. `search` is present in modes that
+    offer paths, which come in `WaysView`. `looks_at` is the target of its camera in words, and `sight` how well the
+    controller sees it, if it says so; `targets` are the robots that it was asked to look at.
     """
 
     phase: Phase

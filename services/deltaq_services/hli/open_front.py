@@ -49,8 +49,8 @@ MOST_A_CYCLE = 4
 rest.
 """
 MOST_RARE_S = 5.0
-"""Answers a second to increments under a lost lease, and to repeated or unnumbered ones.
-Each answer goes to every watcher. A replayed increment uses up none of the holder's rate."""
+"""Answers a second to increments under a lost lease, and to repeated or unnumbered ones. Each answer goes to every
+watcher. A replayed increment uses up none of the holder's rate."""
 MOST_UNPROVEN_S = 100.0
 """Unproven or excess increments a second that are read without a delay; a correct client sends none."""
 _TOLD_APART = 1024

@@ -27,7 +27,7 @@ MAX_WAITING_OF_A_PEER = 64
 
 
 class WaitingPlaces(Generic[C]):
-    """Who waits, from where, the oldest first."""
+    """Connections that wait, with their addresses, the oldest first."""
 
     def __init__(self) -> None:
         self._by_address: dict[str, dict[C, None]] = {}
@@ -43,7 +43,7 @@ class WaitingPlaces(Generic[C]):
             yield from (one for one in turn if one is not None)
 
     def take(self, one: C, address: str) -> C | None:
-        """Give one a place; returns the one that gives way for it, if one must."""
+        """Add a connection; returns the one that must be closed for it, if any."""
         mine = self._by_address.get(address, {})
         if len(mine) >= MAX_WAITING_OF_A_PEER and not is_loopback(address):
             gives_way = next(iter(mine))
@@ -59,7 +59,7 @@ class WaitingPlaces(Generic[C]):
         return gives_way
 
     def leave(self, one: C) -> None:
-        """One waits no longer."""
+        """Remove a connection."""
         address = self._addresses.pop(one, None)
         if address is not None:
             del self._by_address[address][one]
@@ -80,7 +80,7 @@ MOST_TOGETHER_S = 2000.0
 
 
 class LineTurns(Generic[C]):
-    """The connections that have a line waiting, and how many lines each may still send.
+    """The connections with a waiting line, and the rate of each.
 
     Args:
         most_lines_s: lines a second of one connection.
@@ -100,7 +100,7 @@ class LineTurns(Generic[C]):
         return bool(self._holders or self._others)
 
     def wait(self, connection: C, is_holder: bool) -> None:
-        """A connection has a line waiting."""
+        """Note that a connection has a waiting line."""
         mine, other = (self._holders, self._others) if is_holder else (self._others, self._holders)
         other.pop(connection, None)
         mine.setdefault(connection)
@@ -112,7 +112,10 @@ class LineTurns(Generic[C]):
         self._rates.pop(connection, None)
 
     def next(self, time_s: float) -> C | None:
-        """The connection whose line is served now; None if none may be yet. It waits again only after `wait`."""
+        """The connection whose line is served now; None if the rates allow none yet.
+
+        It waits again only after `wait`.
+        """
         for connection in self._holders:
             if self._rate(connection).take(time_s):
                 del self._holders[connection]
@@ -136,7 +139,7 @@ MAX_STOP_PLACES = 256
 
 
 class Places(Generic[C]):
-    """Who is connected, from where."""
+    """The connected clients, with their addresses."""
 
     def __init__(self) -> None:
         self.clients: dict[C, str] = {}
@@ -151,7 +154,7 @@ class Places(Generic[C]):
         return True
 
     def keep_for_stop(self, connection: C) -> C | None:
-        """Keep a connection for a stop alone; returns the one that gives way for it, if one must."""
+        """Keep a connection for a stop alone; returns the one that must be closed for it, if any."""
         self._for_stops[connection] = None
         oldest = next(iter(self._for_stops)) if len(self._for_stops) > MAX_STOP_PLACES else None
         if oldest is not None:
@@ -159,6 +162,6 @@ class Places(Generic[C]):
         return oldest
 
     def leave(self, connection: C) -> bool:
-        """A connection has ended; whether it was a client's."""
+        """Remove a connection; returns whether it was a client's."""
         self._for_stops.pop(connection, None)
         return self.clients.pop(connection, None) is not None

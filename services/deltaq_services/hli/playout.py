@@ -108,9 +108,8 @@ class CarriedMotion(Part):
         """The increment whose turn it is, plus a part of the deferred motion; unchanged if there is none.
 
         A robot that has braked returns to its speed as fast as its limits allow, and the motion missed until then is
-        deferred, too. All deferred motion finally goes to the gate, which scales a sum that is too large, and
-        reports this. An
-        increment that is too large for any cycle goes to the gate by itself.
+        deferred, too. All deferred motion finally goes to the gate, which scales a sum that is too large, and reports
+        this. An increment that is too large for any cycle goes to the gate by itself.
 
         Args:
             dq: (n,) the increment [rad or m].

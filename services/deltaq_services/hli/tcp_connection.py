@@ -34,18 +34,18 @@ from deltaq_services.outputs import ClientOrigin, Output, Sender, ToSender
 
 MAX_MALFORMED_IN_A_ROW = 100
 MAX_UNREAD_BYTES = 1024 * 1024
-"""Answers that a client has asked for and not read; beyond, the connection ends."""
+"""Greatest size of unread answers; beyond it the connection is closed."""
 HELLO_DEADLINE_S = 10.0
 CLOSE_DEADLINE_S = 2.0
 """Time for a dismissed client to read the reason."""
 STOP_DEADLINE_S = 1.0
-"""Time for a stop on a connection that has no place for anything else."""
+"""Time for a stop on a connection beyond the limits."""
 _SEND_BUFFER_BYTES = 64 * 1024
-"""The kernel buffers no more than about this: buffered states can no longer be replaced by newer ones."""
+"""Approximate size of the kernel's buffer: buffered states cannot be replaced by newer ones."""
 
 
 class Front(Protocol):
-    """What a connection needs of the server it belongs to."""
+    """The server, as a connection sees it."""
 
     counters: Counter[str]
 
@@ -57,17 +57,17 @@ class Front(Protocol):
         """Accept a connection as a client's; False: only for a stop."""
 
     def proven(self, hello: Hello, address: str) -> Hello | None:
-        """A hello with the token that it has or proves; None: a wrong one. Not many of an address are compared."""
+        """A hello with its token, given or proved; None if it is wrong, or too many were tried."""
 
     def leave(self, connection: TcpConnection) -> None:
-        """Forget a connection that broke."""
+        """Remove a closed connection."""
 
     def wants_turn(self, connection: TcpConnection) -> None:
-        """A connection has a line waiting."""
+        """Note that a connection has a waiting line."""
 
 
 class TcpConnection(asyncio.Protocol, Sender):
-    """A client over TCP. It holds its leases by being connected and sending something valid now and then.
+    """A client over TCP. It holds its leases while it is connected and sends valid messages now and then.
 
     A client that reads slowly loses old states, never the newest; one that does not read its answers is
     disconnected.
@@ -79,7 +79,7 @@ class TcpConnection(asyncio.Protocol, Sender):
     Attributes:
         leases: token of each robot's lease that was granted to this connection.
         origin: its address, and once it has said hello its name and role.
-        is_welcome: it has said hello.
+        is_welcome: whether it has sent a valid hello.
     """
 
     lasting = True
@@ -147,7 +147,7 @@ class TcpConnection(asyncio.Protocol, Sender):
 
     @property
     def is_welcome(self) -> bool:
-        """Whether it has said hello."""
+        """Whether it has sent a valid hello."""
         return self._client is not None
 
     def connection_lost(self, _exc: Exception | None) -> None:
@@ -191,7 +191,7 @@ class TcpConnection(asyncio.Protocol, Sender):
     # --- in -----------------------------------------------------------------------------------------
 
     def serve_line(self) -> bool:
-        """Serve the line that waits; whether another one does."""
+        """Serve the waiting line; returns whether another one waits."""
         if self._transport.is_closing():
             return False
         line = self._lines.take()

@@ -14,8 +14,8 @@ window. A joint that sags, or is noisy, does not mirror its motion in the second
 and is repeated.
 
 The area that has come in by some time after a pulse is the share of a step that has arrived by then: the same trial
-    measures the lag of each joint (`deltaq_cell.drive_lag`). A pulse lasts some cycles: a lag reads long by up to
-    half of it.
+measures the lag of each joint (`deltaq_cell.drive_lag`). A pulse lasts some cycles: a lag reads long by up to half of
+it.
 """
 
 from __future__ import annotations

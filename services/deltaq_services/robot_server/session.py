@@ -1,7 +1,7 @@
 """Sessions of a KRC: recognizes the begin of a session, and the telegrams that belong to it.
 
 A session is RSI running from one RSI_ON to its end: its corrections are offsets from its start position. A new
-    session changes the meaning of every correction, so one telegram is never enough to accept it.
+session changes the meaning of every correction, so one telegram is never enough to accept it.
 """
 
 from __future__ import annotations

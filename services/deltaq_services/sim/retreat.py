@@ -1,10 +1,9 @@
 """Retreat: the only motion that is admitted while bodies are nearer than the stop distance.
 
-Someone may put a body into the robot's way, or a robot may start too near. Then no tube is certified, and without
-an exception the robot could never move again. Retreat admits slow motion that is certified like any other, except
-that a violated pair has to keep the distance that it had when its violation began
-(`Violations`) instead of the stop distance. That distance is known only of robots that stood
-still then: no robot retreats into one that moves.
+Someone may put a body into the robot's way, or a robot may start too near. Then no tube is certified, and without an
+exception the robot could never move again. Retreat admits slow motion that is certified like any other, except that a
+violated pair has to keep the distance that it had when its violation began (`Violations`) instead of the stop
+distance. That distance is known only of robots that stood still then: no robot retreats into one that moves.
 """
 
 from __future__ import annotations

@@ -104,8 +104,8 @@ class Expectations(ScenarioModel):
 class FaultSearch(ScenarioModel):
     """The draw of `deltaq fault search` in place of `faults`.
 
-    It has at most `most` faults, of at most `longest_s` [s] each. `faults` names the candidates;
-    by default all that are possible in virtual time.
+    It has at most `most` faults, of at most `longest_s` [s] each. `faults` names the candidates; by default all that
+    are possible in virtual time.
     """
 
     faults: Annotated[list[str], Field(min_length=1)] | None = None

@@ -2,9 +2,8 @@
 
 A reactive follower is cornered by joint limits a few seconds ahead. So candidate trajectories (courses) of the arm
 are tried on a model of both robots, and while the best one is in danger the programme follows it in place of the
-evasion of (12): limits,
-least distances and the view stay above it, as they stand above the evasion. Only the braking distance of others is
-left to the course, which has predicted their motion.
+evasion of (12): limits, least distances and the view stay above it, as they stand above the evasion. Only the braking
+distance of others is left to the course, which has predicted their motion.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The process that brakes a robot if its Robot Server dies, started with `python -m`.
 
-Its arguments are two descriptors and the robot's name.
-It shares the Robot Server's socket and the memory with its records, loads neither numpy nor zenoh, and sleeps until the
-mutex is passed on to it. It holds nothing else, ignores signals that ask it to end, and ends by itself.
+Its arguments are two descriptors and the robot's name. It shares the Robot Server's socket and the memory with its
+records, loads neither numpy nor zenoh, and sleeps until the mutex is passed on to it. It holds nothing else, ignores
+signals that ask it to end, and ends by itself.
 """
 
 from __future__ import annotations
