@@ -7,7 +7,8 @@
         robot.move_tool(dz=-0.05)
         verdict = robot.step([0.001, 0, 0, 0, 0, 0])
 
-Every increment passes the gate of the cell. `deltaq.aio` has the same names for asyncio.
+Every increment passes the gate of the cell. `deltaq.aio` has the same names for asyncio. `Gate` is the gate by itself,
+for any arm and without a cell (`deltaq.gate`); it needs `deltaq[cell]`, and is loaded when it is first named.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Literal
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Literal
 
 from numpy.typing import ArrayLike
 
@@ -30,6 +32,10 @@ from deltaq_protocol.client import DEFAULT_ADDRESS
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import RobotState, Verdict
 from deltaq_protocol.opening import Opening
+
+if TYPE_CHECKING:
+    from deltaq.gate import Gate, Step
+    from deltaq.obstacles import Box, Capsule, Cylinder, GateError, Mesh, Sphere
 
 
 class Robot(BlockingRobot):
@@ -115,15 +121,37 @@ def connect(
     return blocking.connected(aio.connect(address, client, token, identity), Cell)
 
 
+_LOADED_WHEN_NAMED = {"Gate": "deltaq.gate", "Step": "deltaq.gate"} | dict.fromkeys(
+    ("Box", "Capsule", "Cylinder", "GateError", "Mesh", "Sphere"), "deltaq.obstacles"
+)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LOADED_WHEN_NAMED:
+        raise AttributeError(f"module 'deltaq' has no attribute {name!r}")
+    try:
+        return getattr(import_module(_LOADED_WHEN_NAMED[name]), name)
+    except ModuleNotFoundError as error:
+        raise DeltaqError(f"{error.name} is not installed: pip install 'deltaq[cell]'") from None
+
+
 __all__ = [
+    "Box",
+    "Capsule",
     "Cell",
     "Controller",
+    "Cylinder",
     "DeltaqError",
+    "Gate",
+    "GateError",
+    "Mesh",
     "MotionError",
     "RefusedError",
     "Robot",
     "RobotView",
     "ServiceUnreachableError",
+    "Sphere",
+    "Step",
     "View",
     "connect",
 ]

@@ -77,3 +77,12 @@ def test_a_first_motion_is_made_limited_stopped_and_reset(tmp_path: Path) -> Non
     assert "held: operator_stop" in seen.printed
     assert "A1 turned by 40.00 deg in all" in seen.printed
     assert seen.pictures == 2
+
+
+@pytest.mark.nightly
+def test_an_arm_without_a_cell_is_kept_clear_of_a_cupboard(tmp_path: Path) -> None:
+    seen = executed("gate_alone.ipynb", tmp_path)
+    assert "velocity / 0.4 s" in seen.printed
+    assert "held clearance arm/" in seen.printed
+    assert float(seen.printed.partition("nearest in all: ")[2].split()[0]) >= 5.0, "its own stop distance"
+    assert seen.pictures == 1

@@ -7,7 +7,7 @@ each of its states, one request after the other, so that a decision always sees 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import Protocol
 
@@ -324,10 +324,14 @@ class Sim:
     def nearest(self) -> NearestPair | None:
         """The nearest two bodies of different robots, or of a robot and the structure or itself, now."""
         known = [robot.tracker for robot in self.robots.values() if robot.tracker.state is not None]
-        for robot in known:
-            self._proximity.place(robot.name, robot.q_cmd, np.zeros_like(robot.q_cmd))
-        lists = [self._proximity.alone[robot.name] for robot in known]
-        lists += [self._proximity.between[one.name, other.name] for one, other in combinations(known, 2)]
+        return self.nearest_at({robot.name: robot.q_cmd for robot in known})
+
+    def nearest_at(self, q: Mapping[str, Array]) -> NearestPair | None:
+        """The same with some robots at `q`, each (n,) [rad or m]."""
+        for name, at in q.items():
+            self._proximity.place(name, at, np.zeros_like(at))
+        lists = [self._proximity.alone[name] for name in q]
+        lists += [self._proximity.between[one, other] for one, other in combinations(q, 2)]
         looks = [self._proximity.look(groups, 0.0).tightest for groups in lists if groups]
         found = [near for near in looks if near is not None]
         return nearest_pair(min(found, key=lambda near: near.distance_m)) if found else None

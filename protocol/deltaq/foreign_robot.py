@@ -1,0 +1,183 @@
+"""A robot's description from its URDF, with the source of each limit."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import ArrayLike
+
+from deltaq.obstacles import GateError, numbers, positive
+from deltaq_cell.description import RobotDescription
+from deltaq_cell.models import collision_names, load_urdf
+from deltaq_cell.urdf_parsing import UNLIMITED, parse_model
+
+RAMP_S = 0.4
+"""Time to full speed where no file gives an acceleration: `acceleration = velocity / RAMP_S` [s]."""
+
+TURNS = 4 * math.pi
+"""Limits of a continuous joint, which has none of its own [rad]."""
+
+Limit = tuple[float, str]
+"""A limit and its source."""
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """Limits of one joint, each with its source [rad or m, per s, per s^2]."""
+
+    lower: Limit
+    upper: Limit
+    velocity: Limit
+    acceleration: Limit
+
+
+def described(
+    urdf: str | Path,
+    srdf: str | Path | None,
+    joint_limits: str | Path | None,
+    locked: Mapping[str, float],
+    q: ArrayLike | None,
+    tolerance: float,
+) -> tuple[RobotDescription, dict[str, str]]:
+    """A robot's description, and the source of each of its limits by `joint.limit`.
+
+    Args:
+        urdf: file, name of a shipped model or `package://`.
+        srdf: file with the pairs of links that are never checked; None if there is none.
+        joint_limits: MoveIt's `joint_limits.yaml`; None for that beside the SRDF, if any.
+        locked: joints that do not move, and where they are [rad or m].
+        q: (n,) start; None for zero, or the middle of a joint's limits if zero is outside [rad or m].
+        tolerance: how far each joint may be beside its setpoints [rad or m].
+
+    Raises:
+        GateError: a limit is missing or cannot be, or a file cannot be read.
+        RobotModelError: the URDF cannot be read.
+    """
+    source = load_urdf(str(urdf))
+    model = parse_model(source, locked)
+    beside = None if srdf is None else Path(srdf).with_name("joint_limits.yaml")
+    if joint_limits is None and beside is not None and beside.is_file():
+        joint_limits = beside
+    given = {} if joint_limits is None else _joint_limits(joint_limits)
+    told = {joint.get("name", ""): joint.find("limit") for joint in source.tree().findall("joint")}
+    limits = {}
+    for index, name in enumerate(list(model.names)[1:]):
+        bounds = model.lowerPositionLimit[index], model.upperPositionLimit[index], model.velocityLimit[index]
+        limits[name] = _limits(name, bounds, told.get(name), given.get(name, {}))
+    start = _start(q, limits)
+    joints = {
+        name: _joint(model.joints[index + 1].shortname(), limit, float(start[index]), tolerance)
+        for index, (name, limit) in enumerate(limits.items())
+    }
+    links = {link for link, bodies in collision_names(source).items() if bodies}
+    never = () if srdf is None else _disabled(srdf, links)
+    description = RobotDescription.model_validate(
+        {
+            "model": str(urdf),
+            "driver": {"kind": "kinematic"},
+            "joints": joints,
+            "locked_joints": dict(locked),
+            "never_checked": never,
+        }
+    )
+    sources = {
+        f"{name}.{what}": f"{value:.6g}, {where}"
+        for name, limit in limits.items()
+        for what, (value, where) in vars(limit).items()
+    }
+    return description, sources
+
+
+def _limits(
+    name: str, bounds: tuple[float, float, float], told: ElementTree.Element | None, given: dict[str, Any]
+) -> JointLimits:
+    lower, upper, velocity = map(float, bounds)
+    where = "URDF"
+    if upper >= UNLIMITED:
+        lower, upper, where = -TURNS, TURNS, "two turns either way, since the joint is continuous"
+    if given.get("has_position_limits", True):
+        if (least := given.get("min_position")) is not None and least > lower:
+            lower, where = float(least), "joint_limits.yaml"
+        if (most := given.get("max_position")) is not None and most < upper:
+            upper, where = float(most), "joint_limits.yaml"
+    remedy = "give the joint a <limit> with lower, upper and velocity, or name it in `locked`"
+    if not lower < upper:
+        raise GateError(f"{name}.upper", upper, f"must be above lower, {lower:g}", remedy)
+    speed = velocity, "URDF"
+    if given.get("has_velocity_limits", True) and "max_velocity" in given:
+        speed = min(speed, (float(given["max_velocity"]), "joint_limits.yaml"))
+    if not math.isfinite(speed[0]) or not 0.0 < speed[0] < UNLIMITED:
+        raise GateError(f"{name}.velocity", speed[0], "must be above 0 and finite", remedy)
+    acceleration = speed[0] / RAMP_S, f"velocity / {RAMP_S:g} s, since no file gives one"
+    text = None if told is None else told.get("acceleration")
+    if given.get("has_acceleration_limits", True) and "max_acceleration" in given:
+        acceleration = float(given["max_acceleration"]), "joint_limits.yaml"
+    elif text is not None:
+        acceleration = float(text), "URDF"
+    positive(f"{name}.acceleration", acceleration[0], 1e6, "give a greater one in joint_limits.yaml")
+    return JointLimits((lower, where), (upper, where), speed, acceleration)
+
+
+def _start(q: ArrayLike | None, limits: Mapping[str, JointLimits]) -> Any:
+    if q is None:
+        pairs = [(limit.lower[0], limit.upper[0]) for limit in limits.values()]
+        return np.array([0.0 if low <= 0.0 <= high else (low + high) / 2 for low, high in pairs])
+    start = numbers("q", q, len(limits), f"give one number for each of {', '.join(limits)}")
+    for value, (name, limit) in zip(start, limits.items(), strict=True):
+        if not limit.lower[0] <= value <= limit.upper[0]:
+            bound = f"{name} must be within its limits, {limit.lower[0]:.6g} to {limit.upper[0]:.6g}"
+            raise GateError("q", float(value), bound, "start elsewhere")
+    return start
+
+
+def _joint(kind: str, limit: JointLimits, home: float, tolerance: float) -> dict[str, float]:
+    lower, upper = limit.lower[0], limit.upper[0]
+    if kind.startswith("JointModelP"):
+        return {
+            "home_m": home,
+            "lower_m": lower,
+            "upper_m": upper,
+            "max_velocity_m_s": limit.velocity[0],
+            "max_acceleration_m_s2": limit.acceleration[0],
+            "tracking_tolerance_m": tolerance,
+        }
+    return {
+        "home_deg": math.degrees(home),
+        "lower_deg": math.degrees(lower),
+        "upper_deg": math.degrees(upper),
+        "max_velocity_deg_s": math.degrees(limit.velocity[0]),
+        "max_acceleration_rad_s2": limit.acceleration[0],
+        "tracking_tolerance_deg": math.degrees(tolerance),
+    }
+
+
+def _joint_limits(path: str | Path) -> dict[str, dict[str, Any]]:
+    """Limits by joint, as MoveIt's `joint_limits.yaml` has them."""
+    remedy = "give MoveIt's joint_limits.yaml"
+    try:
+        found = yaml.safe_load(Path(path).read_text(encoding="utf-8"))["joint_limits"]
+        for name, limits in found.items():
+            for key, value in limits.items():
+                if not isinstance(value, bool):
+                    numbers(f"joint_limits.{name}.{key}", [value], 1, "give a number", 1e6)
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
+        text = f"{path}: {type(error).__name__}"
+        raise GateError("joint_limits", text, "must be a file with joint_limits", remedy) from None
+    return dict(found)
+
+
+def _disabled(path: str | Path, links: set[str]) -> tuple[tuple[str, str], ...]:
+    """Pairs of links that an SRDF leaves out; links without bodies are passed over."""
+    try:
+        tree = ElementTree.parse(Path(path))
+    except (OSError, ElementTree.ParseError) as error:
+        raise GateError("srdf", f"{path}: {error}", "must be a readable SRDF", "give its path") from None
+    pairs = [(item.get("link1", ""), item.get("link2", "")) for item in tree.iter("disable_collisions")]
+    return tuple(pair for pair in pairs if links.issuperset(pair))
