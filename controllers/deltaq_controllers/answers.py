@@ -39,6 +39,31 @@ async def lease(cell: Cell, robot: str) -> Opening[LeasedRobot]:
     return cell.lease(robot, playout=is_far)
 
 
+class Behind:
+    """Catches up where every increment is decided on the state after that which it answers. Pure.
+
+    One late increment makes all after it wait in the gate for the next state. If the controller leaves one state
+    without an answer, the increment that waits has its place, and the next answer is decided at once. If that does not
+    last, the machine or the link is too slow: the next state is left out after twice as many answers.
+    """
+
+    def __init__(self) -> None:
+        self._behind, self._patience = 0, 100
+
+    def leaves_out(self, state: RobotState, before: Verdict | None) -> bool:
+        """Whether to leave a state without an answer; `before` is the verdict on the increment before."""
+        setpoint_cycle = None if before is None else before.setpoint_cycle
+        self._behind = self._behind + 1 if setpoint_cycle is not None and setpoint_cycle > state.cycle else 0
+        if self._behind < self._patience:
+            return False
+        self._behind, self._patience = 0, min(2 * self._patience, _MOST_PATIENCE)
+        return True
+
+
+_MOST_PATIENCE = 10_000
+"""Answers in a row, two minutes of them at 12 ms: a state that is left out in vain costs a cycle of the brake."""
+
+
 class Answers:
     """Answers the states of one robot.
 
@@ -55,11 +80,13 @@ class Answers:
         self._awaited: Verdict | None = None
         self._before: Verdict | None = None
         self._come: list[Verdict | None] = []
+        self._behind = Behind()
 
     async def due(self, state: RobotState) -> Sequence[int]:
         """The cycles for which increments are to be sent now.
 
         It is that of the state. With a lookahead it is also that of those before it that were missed, if there is room.
+        Without one it is none, now and then, while each increment waits for the state after that which it answers.
 
         Args:
             state: newer than all before it.
@@ -71,7 +98,7 @@ class Answers:
         self._reading.go_on()
         if is_awaited(state):
             self._before, self._awaited = self._awaited, None
-            return (state.cycle,)
+            return () if self._behind.leaves_out(state, self._before) else (state.cycle,)
         self._come += [v for v in await self._leased.new_verdicts() if self._in_flight.take(v)]
         return self._in_flight.cycles_to_answer(state)
 
