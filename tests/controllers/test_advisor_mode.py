@@ -254,7 +254,7 @@ def test_from_a_way_on_which_the_hand_left_its_place_another_option_has_it_in_pl
     )
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_the_way_from_where_a_hand_has_left_its_place_begins_there_and_need_not_lead_back() -> None:
     cell = cell_of("gr")
     session = AdvisorSession(cell, "gr", options=12, effort=0.3)

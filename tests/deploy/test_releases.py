@@ -85,6 +85,7 @@ def test_the_source_archive_has_the_tree_and_nothing_that_was_made(unpacked: Pat
     assert [file for file in files if made & set(Path(file).parts)] == []
 
 
+@pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("schema", "file"),

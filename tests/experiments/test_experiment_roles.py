@@ -121,7 +121,7 @@ def test_who_has_no_camera_cannot_watch_and_a_camera_can_be_watched(tmp_path: Pa
     assert (scene.robot.name, scene.leader.name) == ("second", "fr")
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_a_camera_on_the_gantry_tracks_the_robot_on_the_floor(tmp_path: Path) -> None:
     camera = {"pose": {"position_m": [0.0, 0.0, 0.3]}, "vertical_view_deg": 45, "baseline_m": 0.12}
     file = tmp_path / "swapped.yaml"
