@@ -116,7 +116,7 @@ class CellModel:
             }
             longest = max(parts, key=lambda part: parts[part])
             raise LongDescriptionError(
-                f"the description of cell {cell.cell} is {length} bytes long, and clients can be told "
+                f"the description of cell {cell.cell} is {length} bytes long; the greatest size for clients is "
                 f"{MOST_TOLD_BYTES}; the longest part is {longest} with {parts[longest]}"
             )
         return message

@@ -87,7 +87,7 @@ class DescriptionCheck:
                 taken[port] = ".".join(str(part) for part in field)
                 if port >= LEAST_GIVEN_PORT and field not in of_rsi:
                     told = (
-                        f"Linux gives port {port} to sockets that ask for none, so that it may be in use at a start; "
+                        f"Linux may give port {port} to sockets that ask for none, so it may be in use at a start; "
                         f"take one below {LEAST_GIVEN_PORT}"
                     )
                     yield self._at(field, told, port, LEAST_GIVEN_PORT - 1, severity="warning")

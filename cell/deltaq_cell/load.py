@@ -163,9 +163,7 @@ def problem_of(tree: YamlNode, error: dict[str, Any], root: type[BaseModel]) -> 
         value = shown(context.get("tag", value))
         bound = ", ".join(names) or None
         suggestion = nearest_name(str(value), names)
-        message = (
-            f"must be one of {bound}, got {value!r}" if bound else "is missing: it says what kind this is"
-        )
+        message = f"must be one of {bound}, got {value!r}" if bound else "is missing: it selects the kind"
     elif kind == "value_error":
         message = str(context.get("error", error["msg"]))
     else:

@@ -11,7 +11,7 @@ NEEDS_TOKENS = "clients_need_tokens"
 ALLOWS_ANYBODY = "anyone_who_connects_may_move_the_robots"
 CROSSES_IN_CLEAR = (
     "zenoh's links of this endpoint are not encrypted, and other machines reach this address: tokens do not cross "
-    "them, but whoever reads a link while a lease is granted has its secret, and can move that robot; write "
+    "them, but an eavesdropper on a link gets the secret of a lease, and can move that robot; write "
     "tls/ in place of tcp/ if clients have identities, put a tunnel between the machines, or listen on 127.0.0.1 and "
     "let clients come over lines with TLS (`tcp_address`)"
 )

@@ -66,7 +66,7 @@ def camera_roles(
     others = [name for name in cell.robots if name != follower]
     if leader is None:
         if not others:
-            raise RoleError(f"cell {cell.cell} has {names} alone: there is nobody to follow")
+            raise RoleError(f"cell {cell.cell} has {names} alone: there is no robot to follow")
         leader = next((name for name in others if cell.robots[name].camera is None), others[0])
     if leader == follower:
         raise RoleError(

@@ -189,7 +189,7 @@ def _judge_joints(urdf: Urdf, tree: ElementTree.Element) -> None:
         followed, seen = name, {""}
         while followed in mimics:
             if followed in seen:
-                text = f"{urdf.source}: joint '{name}' mimics itself in the end; let it mimic one that moves freely"
+                text = f"{urdf.source}: joint '{name}' mimics itself indirectly; let it mimic an independent joint"
                 raise RobotModelError(text, ("model",))
             seen.add(followed)
             followed = mimics[followed][0]
@@ -205,7 +205,9 @@ def _mimics(urdf: Urdf, tree: ElementTree.Element) -> dict[str, tuple[str, float
             continue
         what, followed = f"joint '{name}'", mimic.get("joint", "")
         if followed not in joints:
-            raise RobotModelError(f"{urdf.source}: {what} mimics '{followed}', which is no joint", ("model",))
+            raise RobotModelError(
+                f"{urdf.source}: {what} mimics '{followed}', which is not a joint", ("model",)
+            )
         multiplier, offset = (
             _numbers(urdf, what, mimic, key, 1, default)[0]
             for key, default in (("multiplier", 1.0), ("offset", 0.0))

@@ -112,7 +112,7 @@ def _without(section: str, base: YamlNode | None, over: YamlNode) -> tuple[YamlN
     for key, child in gone.items():
         if key not in had:
             near = nearest_name(key, had)
-            message = f"nothing of that name to take out; there is {', '.join(had) or 'nothing'}"
+            message = f"nothing of that name to remove; there is {', '.join(had) or 'nothing'}"
             message += f"; did you mean '{near}'?" if near else ""
             field = f"{section}.{key}"
             raise CellError([Problem(child.file, child.line, field, message, suggestion=near)])

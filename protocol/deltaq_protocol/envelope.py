@@ -79,7 +79,7 @@ class Envelopes:
         if len(enclosed) < _ENVELOPE_BYTES or _CHECKSUM.unpack_from(enclosed)[0] != _checksum(
             key, enclosed[_CHECKSUM.size :]
         ):
-            text = f"{key}: {len(enclosed)} bytes that were damaged on their way"
+            text = f"{key}: {len(enclosed)} damaged bytes"
             raise InvalidMessageError(text, ReasonCode.MALFORMED)
         sender, number, addressee = _PROCESSES.unpack_from(enclosed, _CHECKSUM.size)
         if sender in self._ended:

@@ -38,5 +38,5 @@ class CellIdentity:
 
 def mismatch(who: str, theirs: CellIdentity, ours: CellIdentity) -> str:
     """The message about two processes that have read different cells."""
-    told = str(theirs) if theirs.content else f"{theirs.name or 'one'} of a version that tells no hash"
+    told = str(theirs) if theirs.content else f"{theirs.name or 'one'} of a version without a hash"
     return f"{who} has read cell {told.strip()}, and here it is {ours}"

@@ -42,8 +42,8 @@ def faults_of_secret(about: os.stat_result, file: Path, makes: str) -> Sequence[
     mode = stat.S_IMODE(about.st_mode)
     if mode & _OTHERS:
         faults.append(
-            f"has mode {mode:04o}, and others than its owner may use it; at most 0600 is allowed: `chmod 600 {file}`, "
-            "or a new key if somebody may have read it"
+            f"has mode {mode:04o}, and other users may read or write it; at most 0600 is allowed: `chmod 600 {file}`, "
+            "or make a new key if another user may have read it"
         )
     return faults
 
@@ -55,12 +55,12 @@ def faults_of_believed(about: os.stat_result, file: Path) -> Sequence[str]:
         faults.append("is no regular file")
     if about.st_uid not in (os.geteuid(), _ROOT):
         faults.append(
-            f"belongs to user {about.st_uid}, and this is user {os.geteuid()}, who would believe it; "
-            f"`sudo chown {os.geteuid()} {file}`, if it is what it was"
+            f"belongs to user {about.st_uid}, and this is user {os.geteuid()}, who would trust it; "
+            f"`sudo chown {os.geteuid()} {file}`, if it is unchanged"
         )
     mode = stat.S_IMODE(about.st_mode)
     if mode & _OTHERS_WRITE:
         faults.append(
-            f"has mode {mode:04o}, and others than its owner may write it; `chmod go-w {file}`, if it is what it was"
+            f"has mode {mode:04o}, and other users may write it; `chmod go-w {file}`, if it is unchanged"
         )
     return faults

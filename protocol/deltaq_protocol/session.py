@@ -94,7 +94,7 @@ def open_session(
     except zenoh.ZError as error:
         if connect and must_connect:
             raise ServiceUnreachableError(
-                f"nobody answers at {', '.join(connect)}; is the cell up (`deltaq up`), the address right, "
+                f"no server answers at {', '.join(connect)}; is the cell up (`deltaq up`), the address right, "
                 f"and fewer than {MAX_SESSIONS} others there?"
             ) from error
         # zenoh appends a line of its own source

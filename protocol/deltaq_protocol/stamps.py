@@ -175,10 +175,10 @@ def read_stamps(file: Path) -> WrittenStamps:
         process, robots, kept = str(told["process"]), tuple(told["robots"]), int(told["kept"])
         overwritten = int(told["overwritten"])
     except (ValueError, KeyError, TypeError) as error:
-        raise StampError(f"{file} begins with no head of stamps: {error!r}") from error
+        raise StampError(f"{file} has no header of stamps: {error!r}") from error
     if len(body) != kept * _STAMP.size:
         raise StampError(
-            f"{file} holds {len(body)} bytes of stamps, and its head says {kept} of {_STAMP.size}"
+            f"{file} holds {len(body)} bytes of stamps, and its header says {kept} of {_STAMP.size}"
         )
     rows = np.frombuffer(body, dtype="=i8").astype(np.int64).reshape(-1, _COLUMNS)
     return WrittenStamps(process, robots, overwritten, rows)

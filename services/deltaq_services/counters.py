@@ -31,7 +31,7 @@ class Counted:
 
 _MEANINGS: dict[str, dict[str, str]] = {
     HLI: {
-        "states": "states of robots, one for each cycle that was heard",
+        "states": "states of robots, one for each received cycle",
         "states_ignored": "states of a robot, or with joints, that the cell does not have",
         "increments": "increments received, valid or not",
         "increments_unproven": "increments over zenoh that show no lease; they were not read",
@@ -55,8 +55,8 @@ _MEANINGS: dict[str, dict[str, str]] = {
         "malformed": "malformed messages of clients; each got an error if its sender is known",
         "malformed_guarded": "malformed messages from the guarded realm",
         "stale_guarded": (
-            "messages from the guarded realm that were sent to another process, by a process that another"
-            " has replaced, or before one that has come"
+            "messages from the guarded realm to another process, from a replaced process, or older than one "
+            "received already"
         ),
         "version_mismatches": "clients that speak another version of the protocol",
         "signs_of_life_of_another_cell": (
@@ -91,8 +91,7 @@ _MEANINGS: dict[str, dict[str, str]] = {
             "tokens refused without a comparison because wrong ones came from the same address"
         ),
         "tokens_in_clear": (
-            "tokens that came from another machine over lines without TLS; none was compared, and each "
-            "connection ended"
+            "tokens from another machine over lines without TLS; they were not compared, and each connection was closed"
         ),
         "tcp_unencrypted": "TCP connections that ended because the TLS handshake failed",
         "tcp_lines_slowed": "times that lines of TCP clients had to wait because too many came",
@@ -131,8 +130,7 @@ _MEANINGS: dict[str, dict[str, str]] = {
         ),
         "unknown_request": "requests for a robot that the cell does not have",
         "stale_messages": (
-            "messages that were sent to another process, by a process that another has replaced, or "
-            "before one that has come"
+            "messages to another process, from a replaced process, or older than one received already"
         ),
         "invalid_messages": "messages that are malformed",
     },
@@ -162,11 +160,10 @@ _MEANINGS: dict[str, dict[str, str]] = {
         "telegrams_implausible": "telegrams whose values cannot be true",
         "reply_missed": "cycles whose reply the KRC did not take",
         "session_restarted": "RSI sessions that restarted",
-        "telegrams_garbled": "datagrams that are no telegram of this robot",
-        "telegrams_skipped": "telegrams skipped because a newer one had come",
+        "telegrams_garbled": "datagrams that are not telegrams of this robot",
+        "telegrams_skipped": "telegrams skipped because a newer one was waiting",
         "stale_{message}": (
-            "messages of this type that were sent to another process, by a process that another has "
-            "replaced, or before one that has come"
+            "messages of this type to another process, from a replaced process, or older than one received already"
         ),
         "invalid_{message}": "malformed messages of this type",
     },

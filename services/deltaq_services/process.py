@@ -35,7 +35,7 @@ def arguments(description: str, *, of_robot: bool = False, writes_audit: bool = 
             type=Path,
             metavar="FILE",
             default=os.environ.get(AUDIT_FILE) or None,
-            help=f"append who did what to this file of JSON lines (default: {AUDIT_FILE}, or none)",
+            help=f"append the audit log to this file of JSON lines (default: {AUDIT_FILE}, or none)",
         )
     return parser.parse_args()
 

@@ -176,7 +176,7 @@ class Observed:
         """
         if after_s is None and not self.fault_rows:
             raise NothingObservedError(
-                "no fault has begun yet; give after_s, or run the cell past the first fault"
+                "no fault has started yet; give after_s, or run the cell past the first fault"
             )
         first = self.fault_rows[0] if after_s is None else self.ready_row + round(after_s / self.cycle_s)
         steps = np.abs(np.diff(np.array(self._own.setpoints[first:]), axis=0)).max(axis=1, initial=0.0)

@@ -132,10 +132,10 @@ def checked(faults: Sequence[TimedFault], now_s: float = 0.0) -> tuple[TimedFaul
     """
     for timed in faults:
         if timed.at_s < now_s:
-            raise ScheduleError(f"{timed}: at_s must be {now_s:g} or later, that is what the time is already")
+            raise ScheduleError(f"{timed}: at_s must be {now_s:g} or later, the present time")
     both = clash(faults)
     if both is not None:
         one, other = both
         part = min(one.parts & other.parts)
-        raise ScheduleError(f"{other} must begin at {one.end_s:g} s or later: {part} still suffers {one}")
+        raise ScheduleError(f"{other} must start at {one.end_s:g} s or later: {part} still suffers {one}")
     return tuple(sorted(faults, key=lambda timed: timed.at_s))

@@ -187,7 +187,7 @@ class CellUnderTest(Observed):
             CellUseError: no controller drives the robot under test.
         """
         if self._injector is None:
-            raise CellUseError(f"nobody drives {self.robot}: call drive(controller) before run")
+            raise CellUseError(f"no controller drives {self.robot}: call drive(controller) before run")
         end_s = self.time_s + duration_s - self.cycle_s / 2
         while self.time_s < end_s:
             self._inject_due(self._injector)
@@ -196,7 +196,7 @@ class CellUnderTest(Observed):
     def recover(self) -> bool:
         """Recover as an operator does at the KRC's pendant, then reset; returns whether the robot may move."""
         if self._injector is None:
-            raise CellUseError(f"nobody drives {self.robot}: call drive(controller) before recover")
+            raise CellUseError(f"no controller drives {self.robot}: call drive(controller) before recover")
         for _ in range(_ATTEMPTS):
             try:
                 steps = self._injector.bring_back()
@@ -285,7 +285,7 @@ class CellUnderTest(Observed):
         if name not in self.history:
             raise CellUseError(f"no robot {name!r} in this cell; it has {', '.join(self.history)}")
         if name in self._connections:
-            raise CellUseError(f"{name} is driven already: one controller a robot, one cell a test")
+            raise CellUseError(f"{name} has a controller already: one controller a robot, one cell a test")
         return name
 
     def _gone(self, robot: str) -> None:

@@ -50,5 +50,5 @@ def test_a_page_that_cannot_show_the_cell_says_why_and_stops_a_robot_that_moves(
     page.wait_for_function("deltaq.stop.state === 'at_rest'")
     assert page.locator("[data-part=stop-answer]").text_content() == "every robot is at rest"
     page.locator(".chip[data-phase=held]", has_text="gr").wait_for()
-    page.locator(".undrawn dt:text-is('gr') + dd", has_text="held: somebody pressed stop").wait_for()
+    page.locator(".undrawn dt:text-is('gr') + dd", has_text="held: a client pressed stop").wait_for()
     driving.wait_for_function(AT_REST)

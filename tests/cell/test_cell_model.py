@@ -90,7 +90,7 @@ def test_a_mismatch_names_both_cells_and_both_hashes() -> None:
         f"sim has read cell lab-4ms {other.content}, and here it is lab {LAB.content}"
     )
     assert mismatch("sim", CellIdentity.parse(""), LAB).startswith(
-        "sim has read cell one of a version that tells no hash"
+        "sim has read cell one of a version without a hash"
     )
 
 
@@ -130,7 +130,7 @@ def test_the_first_camera_watches_the_first_other_robot_unless_told_otherwise(
         ({"fr": True, "gr": False}, "gr", None, "robot 'gr' has no camera to follow with; fr has one"),
         ({"fr": True, "gr": False}, "fr", "fr", "leader 'fr' is the follower itself; it can follow gr"),
         ({"fr": True, "gr": False}, None, "fr", "leader 'fr' is the follower itself"),
-        ({"fr": True}, None, None, "there is nobody to follow"),
+        ({"fr": True}, None, None, "there is no robot to follow"),
         ({"fr": False, "gr": False}, None, None, "no robot of cell lab carries a camera"),
     ],
 )

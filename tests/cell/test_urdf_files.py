@@ -202,9 +202,9 @@ def test_an_urdf_that_is_nested_without_end_is_refused_in_a_line(tmp_path: Path)
 @pytest.mark.parametrize(
     ("mimics", "message"),
     [
-        ({"j3": "j4", "j4": "j3"}, "joint 'j3' mimics itself in the end"),
+        ({"j3": "j4", "j4": "j3"}, "joint 'j3' mimics itself indirectly"),
         ({"j3": "j3"}, "joint 'j3' mimics itself"),
-        ({"j3": "gone"}, "joint 'j3' mimics 'gone', which is no joint"),
+        ({"j3": "gone"}, "joint 'j3' mimics 'gone', which is not a joint"),
     ],
 )
 def test_a_mimic_that_follows_nothing_is_refused(

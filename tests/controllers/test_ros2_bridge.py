@@ -215,7 +215,7 @@ def test_whoever_is_not_there_at_the_beginning_is_named(server: Server) -> None:
     nowhere, hli = endpoint(), server.description.hli
     with pytest.raises(ServiceUnreachableError, match=f"no zenoh router answers at {nowhere}"):
         asyncio.run(Bridge(hli, RosSide(nowhere)).run())
-    with pytest.raises(ServiceUnreachableError, match=f"nobody answers at {nowhere}"):
+    with pytest.raises(ServiceUnreachableError, match=f"no server answers at {nowhere}"):
         asyncio.run(Bridge(nowhere, RosSide(hli)).run())
 
 

@@ -192,7 +192,7 @@ def test_a_blocked_trajectory_slows_and_ends_with_the_gates_reason(lab: Any) -> 
     driven.hear(point(3, down))
     driven.cell.run(6.0)
     assert driven.endings == ["blocked"]
-    assert "no way was made for 2 s; the gate last said clearance fr/" in driven.said[-1][0]
+    assert "no progress was made for 2 s; the gate last said clearance fr/" in driven.said[-1][0]
     assert driven.cell.verdicts["scaled"] > 0
     assert driven.cell.verdicts["held"] > 100
     assert driven.kept()

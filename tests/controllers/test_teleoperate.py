@@ -189,7 +189,7 @@ async def test_a_missing_follower_a_refusal_and_a_missing_camera_are_reported() 
     view = AskedViewDistance(cell, "gr")
     view.change(VIEW_STEP_M)
     await settled()
-    assert view.status.endswith("m, nobody follows with fr")
+    assert view.status.endswith("m, no follower runs on fr")
     cell.refuses = True
     view.change(VIEW_STEP_M)
     await settled()

@@ -46,7 +46,7 @@ def test_impossible_arguments_are_refused_when_the_environment_is_made(arguments
 
 
 def test_a_step_before_the_first_reset_is_refused() -> None:
-    with pytest.raises(DeltaqError, match=r"no episode has begun: call reset\(\) first"):
+    with pytest.raises(DeltaqError, match=r"no episode is running: call reset\(\) first"):
         CameraEnvironment().step(np.zeros(6))
 
 
@@ -63,7 +63,7 @@ def test_an_action_that_is_none_is_refused_and_the_episode_goes_on(
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"begin": 0}, "options: begin is no option; there is start"),
+        ({"begin": 0}, "options: begin is not an option; only start is"),
         ({"start": np.zeros(5)}, "options: start must be 6 angles between"),
         ({"start": np.full(6, 100.0)}, "options: start must be 6 angles between"),
         ({"start": np.full(6, np.nan)}, "options: start must be 6 angles between"),

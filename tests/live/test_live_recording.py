@@ -81,7 +81,7 @@ def test_a_moving_cell_is_recorded_to_the_last_bit_and_outlives_a_recorder_whose
 
     assert recorders[1].returncode == 2
     assert said == (
-        f"error: {filling} cannot be written to any more: File too large; what was written so far can be read\n"
+        f"error: {filling} can no longer be written: File too large; messages written so far can be read\n"
     )
     assert filling.stat().st_size <= full
     cut = replay(filling)

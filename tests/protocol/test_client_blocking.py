@@ -41,7 +41,7 @@ def test_a_script_whose_cell_is_not_up_ends_with_one_line() -> None:
         [sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=100
     )
     assert done.returncode == 1
-    assert re.fullmatch(r"error: nobody answers at .*\n", done.stderr)
+    assert re.fullmatch(r"error: no server answers at .*\n", done.stderr)
 
 
 def test_connecting_without_a_listener_fails_and_leaves_no_thread() -> None:

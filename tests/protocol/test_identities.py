@@ -60,13 +60,13 @@ def test_a_key_that_others_may_use_is_none(folder, mode):
 @pytest.mark.parametrize("name", ["certificate.pem", "authority.pem"])
 def test_a_file_that_others_can_write_is_not_trusted(folder, name):
     (folder / "sim" / name).chmod(0o666)
-    with pytest.raises(IdentityError, match=f"{name} has mode 0666, and others than its owner may write it"):
+    with pytest.raises(IdentityError, match=f"{name} has mode 0666, and other users may write it"):
         read(folder / "sim")
 
 
 def test_files_of_another_user_are_not_trusted(folder):
     try:
-        for name, match in (("certificate.pem", "who would believe it"), ("key.pem", "belongs to user")):
+        for name, match in (("certificate.pem", "who would trust it"), ("key.pem", "belongs to user")):
             os.chown(folder / "sim" / name, os.geteuid() + 1, -1)
             with pytest.raises(IdentityError, match=match):
                 read(folder / "sim")

@@ -62,7 +62,7 @@ def test_every_element_is_read_in_its_order() -> None:
         ('"AK.A2"', '"IPOC"', r"TAG is 'IPOC'"),
         ('"AK.A2"', '"AK"', r"AK is both an element with text and one with attributes \(AK\.A1\)"),
         ('INDX="2"', 'INDX="65"', r"INDX is '65', allowed is 1 to 64"),
-        ('INDX="2"', 'INDX="1"', r"INDX 1 is taken by AK\.A1"),
+        ('INDX="2"', 'INDX="1"', r"INDX 1 is used by AK\.A1"),
         ('"BOOL"', '"BYTE"', r"SEND element 2 \(Di\.I1\): TYPE is 'BYTE', allowed is BOOL, LONG"),
         ('"DEF_AIPos"', '"DEF_APos"', r"SEND element 1 \(DEF_APos\): not known in SEND, allowed is DEF_RIst"),
         (

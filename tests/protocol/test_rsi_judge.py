@@ -68,7 +68,7 @@ REFUSED = [
      ("ethernet_xml",), "no correction of A4"),
     ([without("DEF_AIPos")], "SEND/DEF_AIPos", None, None, ("ethernet_xml",), "the positions of the axes are unknown"),
     ([without("DEF_EIPos")], "SEND/DEF_EIPos", None, None, ("ethernet_xml",), "the positions of the axes are unknown"),
-    ([(">49153<", ">49152<")], "CONFIG/PORT", 49152, 49153, ("port",), "another robot's server"),
+    ([(">49153<", ">49152<")], "CONFIG/PORT", 49152, 49153, ("port",), "or another robot's"),
     ([(">192.168.10.10<", ">192.168.10.11<")], "CONFIG/IP_NUMBER", "192.168.10.11", "192.168.10.10", ("address",),
      "send its telegrams elsewhere"),
     ([(">192.168.10.10<", ">pc.local<")], "CONFIG/IP_NUMBER", "pc.local", "192.168.10.10", ("address",), "elsewhere"),
@@ -103,7 +103,7 @@ def test_an_unsafe_file_is_refused_with_element_value_and_bound(
 WARNED = [
     ([without("DEF_ASPos")], CELL, "SEND/DEF_ASPos", "could jump"),
     ([without("DEF_ESPos")], CELL, "SEND/DEF_ESPos", "could jump"),
-    ([without("DEF_Delay")], CELL, "SEND/DEF_Delay", "came too late"),
+    ([without("DEF_Delay")], CELL, "SEND/DEF_Delay", "late replies are not reported"),
     ([], replace(CELL, stop=None), "RECEIVE/Stop", "only hold still or fall silent"),
     (
         [('INDX="12" UNIT="0" HOLDON="1"', 'INDX="12" UNIT="0" HOLDON="0"')],
@@ -135,7 +135,7 @@ def test_one_signal_for_two_purposes_is_refused() -> None:
 
 
 def test_two_corrections_on_one_channel_are_no_configuration_at_all() -> None:
-    with pytest.raises(EthernetConfigError, match=r"INDX 1 is taken by AK\.A1"):
+    with pytest.raises(EthernetConfigError, match=r"INDX 1 is used by AK\.A1"):
         file((correction("A2", 2), correction("A2", 1)))
 
 

@@ -67,10 +67,10 @@ def test_no_stamp_of_several_threads_takes_the_place_of_another(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("content", "why"),
     [
-        (b"", "begins with no head"),
-        (b"\xff\xfe\n", "begins with no head"),
-        (b"[1]\n", "begins with no head"),
-        (b'{"process": "sim"}\n', "begins with no head"),
+        (b"", "has no header"),
+        (b"\xff\xfe\n", "has no header"),
+        (b"[1]\n", "has no header"),
+        (b'{"process": "sim"}\n', "has no header"),
         (b'{"process": "sim", "robots": [], "kept": 2, "overwritten": 0}\n' + bytes(79), "79 bytes"),
     ],
 )

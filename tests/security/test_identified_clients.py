@@ -187,5 +187,5 @@ def test_the_authority_is_that_of_the_hli_or_of_a_file(folder, tmp_path):
     with pytest.raises(IdentityError, match="is the authority of cell small, and this is cell other"):
         authority_of_clients(small_cell(cell="other"), {AUTHORITY_FILE: str(file)})
     file.chmod(0o666)
-    with pytest.raises(IdentityError, match="others than its owner may write it"):
+    with pytest.raises(IdentityError, match="other users may write it"):
         authority_of_clients(cell, {AUTHORITY_FILE: str(file)})

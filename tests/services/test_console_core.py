@@ -374,7 +374,7 @@ def test_a_silent_hli_is_told_and_the_old_view_is_marked(bench):
     bench.core.board.heard({}, bench.now_s)
     bench.states()
     assert desk.status().robots["fr"].text == "ready"
-    assert desk.events("link") == ["the HLI is heard", "the HLI is silent: no answer", "the HLI is heard"]
+    assert desk.events("link") == ["the HLI answers", "the HLI is silent: no answer", "the HLI answers"]
 
 
 def test_a_limiting_factor_is_shown_in_words_and_repeated_refusals_in_one_line(bench):

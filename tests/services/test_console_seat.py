@@ -197,8 +197,8 @@ def test_a_cameras_target_is_chosen_without_an_operator_session_and_confirmed():
 @pytest.mark.parametrize(
     ("fields", "said"),
     [
-        ({"robot": "fr", "targets": ["ghost"]}, "targets: 'ghost' is no other robot; there are gr"),
-        ({"robot": "fr", "targets": ["gr", "fr"]}, "targets: 'fr' is no other robot; there are gr"),
+        ({"robot": "fr", "targets": ["ghost"]}, "targets: 'ghost' is not another robot; there are gr"),
+        ({"robot": "fr", "targets": ["gr", "fr"]}, "targets: 'fr' is not another robot; there are gr"),
         ({"robot": "gr", "targets": ["fr"]}, "robot: gr carries no camera"),
         ({"robot": "fr", "targets": []}, "targets: "),
         ({"robot": "fr", "targets": ["gr"] * 9}, "targets: "),

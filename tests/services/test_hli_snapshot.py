@@ -148,7 +148,7 @@ def test_another_may_take_its_place_at_any_moment(seed):
 
 def test_messages_of_the_wrong_direction_are_refused_by_type():
     core, client = Day(0).core, Client()
-    with pytest.raises(TypeError, match="a StopRequest has to be answered, and comes from nobody"):
+    with pytest.raises(TypeError, match="a StopRequest needs an answer, but has no sender"):
         core.take(StopRequest(), 1.0)
     admission = Admission(
         robot="fr", epoch=1, sequence=1, cycle=1, follows_sequence=0, follows_q_cmd=(0.0,) * 6,

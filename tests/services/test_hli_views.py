@@ -73,9 +73,9 @@ class Desk(Sender):
             "fr",
             {"leader": "ghost"},
             ReasonCode.MALFORMED,
-            "'ghost' is no other robot; fr can look at gr, fr2",
+            "'ghost' is not another robot; fr can look at gr, fr2",
         ),
-        ("fr", {"leader": "fr"}, ReasonCode.MALFORMED, "'fr' is no other robot"),
+        ("fr", {"leader": "fr"}, ReasonCode.MALFORMED, "'fr' is not another robot"),
         (
             "fr",
             {"leader": "gr", "focus_m": (0, 0, 1)},
@@ -92,7 +92,7 @@ class Desk(Sender):
             "fr",
             {"targets": [{"leader": "gr"}, {"leader": "fr"}]},
             ReasonCode.MALFORMED,
-            "targets.1.leader: 'fr' is no other robot; there are gr, fr2",
+            "targets.1.leader: 'fr' is not another robot; there are gr, fr2",
         ),
         (
             "fr",

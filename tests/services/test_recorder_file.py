@@ -85,7 +85,7 @@ def test_a_folder_that_is_not_there_is_told(tmp_path: Path, description: Descrip
 
 
 def test_a_full_disk_is_told_and_ends_the_recording(cell: CellModel) -> None:
-    with pytest.raises(RecordingError, match=r"/dev/full cannot be written to any more: No space left"):
+    with pytest.raises(RecordingError, match=r"/dev/full can no longer be written: No space left"):
         write(Path("/dev/full"), cell)
 
 

@@ -54,7 +54,7 @@ class SharedStack(Stack):
         return shared
 
     def renewed(self) -> SharedStack:
-        """Every service runs, nobody drives, robots are free and at home, and a record begins."""
+        """Every service runs, no controller drives, robots are free and at home, and a record begins."""
         self.launcher.stop_service("mover")
         for service in self.launcher.services[: -len(self.on_demand)]:
             if self.launcher.children[service.name].status is not None:

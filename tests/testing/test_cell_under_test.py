@@ -183,19 +183,19 @@ def test_the_tracking_error_is_that_of_the_joint_that_is_furthest_off(lab):
 
 def test_nonsensical_options_are_refused(lab):
     cell = CellUnderTest(lab)
-    with pytest.raises(CellUseError, match="nobody drives fr: call drive"):
+    with pytest.raises(CellUseError, match="no controller drives fr: call drive"):
         cell.run(1.0)
     with pytest.raises(CellUseError, match=r"no robot 'r2' in this cell; it has fr, gr"):
         cell.drive(Ramp, robot="r2")
     with pytest.raises(CellUseError, match="a controller is a function of a state"):
         cell.drive(3)
     cell.drive(Ramp)
-    with pytest.raises(CellUseError, match="fr is driven already"):
+    with pytest.raises(CellUseError, match="fr has a controller already"):
         cell.drive(Ramp)
     cell.run(0.5)
     with pytest.raises(ScheduleError, match=r"at_s must be 0.504 or later"):
         cell.suffer(fault("sim_dead", at_s=0.1))
-    with pytest.raises(NothingObservedError, match="no fault has begun yet"):
+    with pytest.raises(NothingObservedError, match="no fault has started yet"):
         cell.rested_within(4)
 
 

@@ -88,7 +88,7 @@ def invoke(*words):
         ("within: 0.01", "q: [1], within: 0.01", "give one of q and from_home, and not both"),
         ("expect:", "seed: -1\nexpect:", "seed: should be greater than or equal to 0, got -1"),
         ("expect:", "recover_at_s: 2\nexpect:", "recover_at_s must be less than duration_s, 1, got 2"),
-        ("expect:", "  - {fault: link_lossy, at_s: 0.25}\nexpect:", "must begin at 0.3 s or later: the link"),
+        ("expect:", "  - {fault: link_lossy, at_s: 0.25}\nexpect:", "must start at 0.3 s or later: the link"),
         ("controller: turn.py:Turn", "[", "not YAML"),
     ],
 )  # fmt: skip

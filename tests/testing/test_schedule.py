@@ -37,7 +37,7 @@ def test_a_fault_is_shown_as_it_is_typed():
 def test_of_two_faults_on_one_part_the_second_begins_when_the_first_has_ended():
     cut, lossy = fault("link_cut", at_s=1, for_s=1), fault("link_lossy", at_s=1.5)
     with pytest.raises(
-        ScheduleError, match=r"must begin at 2 s or later: the link controller-hli still suffers"
+        ScheduleError, match=r"must start at 2 s or later: the link controller-hli still suffers"
     ):
         checked([lossy, cut])
     assert checked([fault("link_lossy", at_s=2), cut])[0] is cut

@@ -155,8 +155,9 @@ class RsiDescription(DescriptionModel):
     def _listens_to_one_krc(self) -> Self:
         if self.krc_address is None and not _is_loopback(self.address):
             raise ValueError(
-                f"krc_address is not given though address is {self.address}: whoever reaches that address could "
-                "pass for the KRC; give the KRC's own address, such as krc_address: 192.168.10.20"
+                f"krc_address is not given though address is {self.address}: any host that "
+                "reaches that address could pose as the KRC; give the KRC's own address, such as "
+                "krc_address: 192.168.10.20"
             )
         return self
 

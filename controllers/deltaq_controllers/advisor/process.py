@@ -148,7 +148,7 @@ class AdvisorProcess:
             self._lost()
 
     def _lost(self) -> None:
-        trouble = "the advisor's process has ended; leave this mode, and start anew to ask again"
+        trouble = "the advisor's process has ended; leave this mode, and enter it again to start another one"
         self._newest = _Answer(self._newest.number, self._newest.progress, trouble, is_over=True)
 
     def __enter__(self) -> Self:

@@ -25,7 +25,7 @@ def main() -> int:
         "names",
         nargs="*",
         metavar="NAME",
-        help="controllers to compile, all if none is named; others are left alone",
+        help="controllers to compile, all if none is named; no others are compiled",
     )
     names: list[str] = parser.parse_args().names
     where = folder(_PACKAGE)

@@ -173,7 +173,7 @@ def of_conditioning(hands: Hands, conditioning: Conditioning) -> Limitation:
     if conditioning.lost > LOST:
         text = f"the {name} is at a singularity: no joints move it that way"
         return Limitation(Limit.SINGULARITY, name, text)
-    told = f"{1000.0 * conditioning.mobility:.0f} mm of its way for each radian of the joints"
+    told = f"{1000.0 * conditioning.mobility:.0f} mm of travel for each radian of the joints"
     if travel > _MOSTLY and bend < -_BENT:
         return Limitation(Limit.WORKSPACE_EDGE, name, f"the {name} is at the edge of its reach ({told})")
     return Limitation(Limit.SINGULARITY, name, f"the {name} is at a singularity ({told})")

@@ -139,7 +139,7 @@ def _follower(cell: Cell, robot: RobotModel, compiling: asyncio.Future[None]) ->
     """
     others = [name for name in cell.robots if name != robot.name]
     if not others or robot.description.camera is None:
-        raise ControllerError(f"{robot.name} carries no camera, or has nobody to follow")
+        raise ControllerError(f"{robot.name} carries no camera, or there is no other robot to follow")
     if not compiling.done():
         raise ControllerError(
             "the camera controller is being compiled, which takes a minute, once; "

@@ -75,7 +75,7 @@ class AskedViewDistance:
                 self._asked_m = None
                 return
             self.status = f"view {asked_m:.2f} m" + (
-                "" if reply.holder else f", nobody follows with {self._camera}"
+                "" if reply.holder else f", no follower runs on {self._camera}"
             )
             if self._asked_m == asked_m:
                 self._asked_m = None

@@ -424,7 +424,7 @@ class TrajectoryMover:
                 return "the robot has left its path"
             case TrajectoryEnding.BLOCKED:
                 reasons = ", ".join(f"{reason.code} {reason.what}".strip() for reason in self._limited_by)
-                return f"no way was made for {BLOCKED_S:g} s; the gate last said {reasons or 'nothing'}"
+                return f"no progress was made for {BLOCKED_S:g} s; the gate last said {reasons or 'nothing'}"
 
     def _refuse(self, error: RefusedMessageError) -> None:
         self.counters["refused"] += 1

@@ -186,7 +186,7 @@ def impair(
 
     if keep_order and not jitter_s:
         raise typer.BadParameter(
-            "without --jitter-s none overtakes another; give one above 0", param_hint="--keep-order"
+            "without --jitter-s messages keep their order; give a jitter above 0", param_hint="--keep-order"
         )
     near, far = Endpoint.parse(listen), Endpoint.parse(to)
     chosen = unit_of(near, unit)

@@ -83,11 +83,13 @@ def lease(
     url: UrlOption = None,
     take: Annotated[
         bool,
-        typer.Option("--take", help="Take it from its holder and keep it until Ctrl-C: nobody can move."),
+        typer.Option(
+            "--take", help="Take it from its holder and keep it until Ctrl-C: no client can move the robot."
+        ),
     ] = False,
     release: Annotated[
         bool,
-        typer.Option("--release", help="Take it from its holder and release it: anybody can acquire it."),
+        typer.Option("--release", help="Take it from its holder and release it: any client can acquire it."),
     ] = False,
     token: TokenOption = None,
     json: JsonOption = False,
@@ -248,7 +250,7 @@ _CAMERA = typer.Option(help="Robot with the camera (default: the cell's first)."
 _LEADER = typer.Option(help="Robot whose tool the camera looks at.", metavar="ROBOT")
 _DISTANCE = typer.Option(min=0.2, max=4.0, help="Distance from the lens to the target.")
 _OFFSET = typer.Option(help="Target in the frame of the leader's tool.")
-_FOCUS = typer.Option(help="Target that stands still, in the world frame.")
+_FOCUS = typer.Option(help="Fixed target, in the world frame.")
 _TARGET = typer.Option(
     "--target",
     metavar="ROBOT[:X,Y,Z]|X,Y,Z",
@@ -364,7 +366,7 @@ def _target(text: str) -> ViewTarget:
         raise typer.BadParameter(f"{text!r}: {error}", param_hint="--target") from None
     except ValueError:
         example = "gr, gr:0,0,0.04 or -0.4,-0.7,1.3"
-        raise typer.BadParameter(f"{text!r} is no target like {example}", param_hint="--target") from None
+        raise typer.BadParameter(f"{text!r} is not a target like {example}", param_hint="--target") from None
 
 
 def _point(text: str) -> list[float]:
@@ -383,7 +385,7 @@ def _wished(view: ViewWish) -> str:
 def _followed(told: ViewReply) -> str:
     """The follower, its camera's target, and how well the camera sees it."""
     if not told.holder:
-        return "nobody has the robot: the next who follows looks there"
+        return "no client drives the robot: the next follower uses this view"
     if told.target is None:
         return f"{told.holder} has the robot"
     sight = "" if told.sight is None else f", {told.sight}"

@@ -59,7 +59,7 @@ AimOption = Annotated[
 NoGateOption = Annotated[
     bool,
     typer.Option(
-        "--no-gate", help="Run a collision without the gate, to show what the follower alone prevents."
+        "--no-gate", help="Run a collision without the gate, to show the effect of the follower alone."
     ),
 ]
 _FOLLOWING = typer.Option(

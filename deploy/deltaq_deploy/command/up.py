@@ -78,7 +78,7 @@ def up(
             lines = f"{description.tcp_address}:{description.tcp_port}"
             log("deltaq", f"zenoh clients at {description.hli}, JSON lines at {lines}; Ctrl-C ends it")
             if audit_file is not None:
-                log("deltaq", f"who does what is written to {audit_file}; `deltaq audit` shows it")
+                log("deltaq", f"the audit log is {audit_file}; `deltaq audit` shows it")
             elif why_none:
                 log("deltaq", f"no audit log: {why_none}")
         tell_of_console(launcher, with_console)
@@ -158,7 +158,7 @@ def tell_of_console(launcher: Launcher, wanted: bool) -> str | None:
     from deltaq_deploy.launch.services import console_is_installed
 
     if wanted and not console_is_installed():
-        launcher.say("no console: `pip install 'deltaq[console]'` brings what its page is made with")
+        launcher.say("no console: `pip install 'deltaq[console]'` installs its libraries")
     return None
 
 

@@ -278,7 +278,7 @@ def audit(
     if torn[0]:
         console_of_errors = console(typer.get_text_stream("stderr"))
         console_of_errors.print(
-            f"lines that are no entries: {torn[0]}; a crash tore them, or another version wrote them"
+            f"invalid lines: {torn[0]}; a crash cut them short, or another version wrote them"
         )
 
 

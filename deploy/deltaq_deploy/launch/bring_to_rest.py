@@ -85,7 +85,7 @@ def stop_over_a_line(cell: CellDescription, environment: Mapping[str, str] = os.
         try:
             return _stopped(cell, certificate)
         except ServiceUnreachableError as error:
-            text = "a stop was sent in the clear, too, which an HLI obeys, but nobody has proved that he is the one"
+            text = "a stop was also sent in the clear, which an HLI obeys, but no server has proved to be the HLI"
             raise ServiceUnreachableError(f"{error}; {text}") from error
 
 
@@ -109,7 +109,7 @@ def _stopped(cell: CellDescription, certificate: str | None = None) -> Done:
             with _encryption(certificate).wrap_socket(connection) as line:
                 return _asked(line, place)
     except ssl.SSLCertVerificationError as error:
-        text = f"who listens on {place} was told to stop, but has not the certificate {certificate}"
+        text = f"the server at {place} got the stop, but does not have the certificate {certificate}"
         raise LineEncryptionError(text) from error
     except (OSError, ValueError) as error:  # a TLS server may answer with TLS bytes, which is no answer
         raise ServiceUnreachableError(f"no stop over {place}: {error}") from error

@@ -102,7 +102,7 @@ def _compare(cell: CellDescription, running: Description) -> None:
     if not ours.is_same(theirs):
         said = mismatch(f"the HLI at {cell.hli}", theirs, ours)
         raise OtherCellError(
-            f"{said}; start the cell anew if its file has changed, or name the right one with --cell"
+            f"{said}; restart the cell if its file has changed, or name the right one with --cell"
         )
 
 

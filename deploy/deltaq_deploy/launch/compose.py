@@ -118,7 +118,7 @@ REAL_TIME_FILE = DEPLOY / "realtime.yaml"
 CELL = "lab"
 HEADER = """\
 # The lab cell in containers: the services of `deltaq up`, with `--profile demo` the controllers of `deltaq demo`,
-# with `--profile metrics` what Prometheus reads. Written by `make docs`; do not edit.
+# with `--profile metrics` the exporter for Prometheus. Written by `make docs`; do not edit.
 #
 #   docker compose -f deploy/compose.yaml up --build --wait   build the image, and the emulated cell
 #   docker compose -f deploy/compose.yaml up --wait hli       the same without emulators: real robots
@@ -302,7 +302,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         prog="python -m deltaq_deploy.launch.compose", description="compose file of a cell"
     )
     parser.add_argument("cell", nargs="?", help="name or YAML file of the cell, whose document is printed")
-    parser.add_argument("--real-time", action="store_true", help="print what adds real-time priority to it")
+    parser.add_argument("--real-time", action="store_true", help="print the overlay for real-time priority")
     given = parser.parse_args(argv)
     if given.cell is None:
         FILE.write_text(compose_text(), encoding="utf-8")

@@ -85,7 +85,7 @@ def judge_throttling(runtime_us: int | None, period_us: int | None) -> DoctorFin
     what = "real-time throttling"
     if runtime_us is None or not period_us:
         return DoctorFinding(
-            what, "not told by this kernel", Rating.FAIR, "see sched_rt_runtime_us of your kernel"
+            what, "this kernel does not say", Rating.FAIR, "see sched_rt_runtime_us of your kernel"
         )
     if 0 <= runtime_us < period_us:
         return DoctorFinding(

@@ -361,7 +361,7 @@ class Launcher:
         lines = self.last_lines(name)
         if not lines:
             return f"; {name} printed nothing"
-        return f"; {name} said last:\n" + "\n".join(f"  {line}" for line in lines)
+        return f"; {name} printed last:\n" + "\n".join(f"  {line}" for line in lines)
 
 
 def describe_exit(name: str, status: int) -> str:

@@ -30,7 +30,7 @@ CAMERA_COMPILER = ("-m", "deltaq_controllers.camera")
 MODES_COMPILER = ("-m", "deltaq_controllers.modes")
 COMPILES = "compiling "
 """Beginning of a line about a function that is being compiled."""
-NOWHERE = "no folder for machine code can be written to: every start recompiles; XDG_CACHE_HOME may name one"
+NOWHERE = "no folder for machine code is writable: every start compiles again; XDG_CACHE_HOME may name one"
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ def _reasons(cell: CellDescription, file: Path, name: str) -> Iterator[str]:
         )
     if driver.krc_address is None:
         yield (
-            f"{where}.krc_address: is missing: anybody's datagram would be taken for the KRC's; write the KRC's "
+            f"{where}.krc_address: is missing: any host's datagram would be taken for the KRC's; write the KRC's "
             "address on the robot's network"
         )
     elif is_loopback(driver.krc_address) or is_any(driver.krc_address):

@@ -274,7 +274,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         write(units(), FOLDER)
         return
     if given.to is None:
-        parser.error("--to FOLDER: say where they are to be written")
+        parser.error("--to FOLDER: name the folder for the files")
     only = [name.strip() for name in given.only.split(",") if name.strip()]
     try:
         file = find_cell(given.cell)

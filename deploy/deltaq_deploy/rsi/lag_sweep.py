@@ -124,7 +124,7 @@ def _arrived(course: DrivenSweep) -> tuple[float, Array]:
     begin, end = course.q[0], course.q_cmd[-1]
     distance = end - course.q_cmd[0]
     if abs(course.q[-1] - begin - distance) > 0.25 * abs(distance):
-        raise ValueError(f"it moved by {course.q[-1] - begin:.6f} where {distance:.6f} was sent (rad or m)")
+        raise ValueError(f"it moved by {course.q[-1] - begin:.6f} instead of {distance:.6f} (rad or m)")
     evenly = np.arange(course.cycles[0] + 1, course.cycles[-1] + 1)
     q = np.interp(evenly, course.cycles, course.q)
     return float(evenly[0]) + 0.5 - _middle(course), (q - begin) / distance  # a sample is the mean around it

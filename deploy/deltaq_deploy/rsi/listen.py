@@ -113,7 +113,7 @@ class ZeroEcho:
         if telegram.q is None:  # the opening of a KR C2: the robot stands at its start
             return None
         if telegram.q_programmed is None:
-            return "without DEF_ASPos in SEND nobody can tell whether the robot stands where RSI was started"
+            return "without DEF_ASPos in SEND the start position of RSI is unknown"
         away = np.abs(telegram.q - telegram.q_programmed)
         if (away > AWAY).any():
             axis = self._codec.axes.axes[int(np.argmax(away))]

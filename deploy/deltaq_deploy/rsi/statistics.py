@@ -210,7 +210,9 @@ class WireStatistics:
                 "running; give each robot a port of its own"
             )
         if self._garbled:
-            problems.append(f"{self._garbled} datagrams are no telegrams of a KRC: who else sends here?")
+            problems.append(
+                f"{self._garbled} datagrams are no telegrams of a KRC: another program sends here"
+            )
         if jumps:
             problems.append(
                 f"IPOC jumped {jumps} times: telegrams are lost on the way, or RSI was started again"
@@ -257,7 +259,7 @@ def spread(times: deque[float]) -> Spread | None:
 
 def _guess(cycle: Spread | None, step: int | None, ipoc_only: bool) -> str:
     if cycle is None:
-        return "too few telegrams to say"
+        return "too few telegrams"
     milliseconds = cycle.median_s * 1e3
     kind = (
         "a KR C4 or later with RSI_ON(…, #IPO_FAST)" if milliseconds < 8 else "a KR C2, or a KR C4 with #IPO"

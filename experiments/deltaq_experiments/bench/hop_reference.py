@@ -85,7 +85,7 @@ def _clock(pid: int) -> float:
         # MAKE_PROCESS_CPUCLOCK of the same header: what clock_getcpuclockid(3) returns
         return time.clock_gettime(((~pid) << 3) | _SCHED)
     except OSError as error:
-        raise ProcessLookupError(f"process {pid} has ended, or its time is not told") from error
+        raise ProcessLookupError(f"process {pid} has ended, or its time cannot be read") from error
 
 
 def _children(pid: int) -> list[int]:

@@ -74,7 +74,7 @@ class BrakeCause(StrEnum):
     CLIENT_LATE = "the controller sent its increment too late"
     ON_WAY_TO_HLI = "the increment was lost or late on its way to the HLI"
     ON_WAY_TO_GATE = "the HLI did not pass it on in time"
-    NOT_DECIDED = "the gate refused it, or did not begin in time"
+    NOT_DECIDED = "the gate refused it, or did not start in time"
     GATE_LATE = "the gate had not decided in time"
     GATE_HELD = "the gate held the robot: no part of it was admissible"
     PLACED_LATER = "the gate gave it a later setpoint"

@@ -138,8 +138,8 @@ def _clearance(run: RecordedRun) -> str:
     told = (
         "The distance of the two nearest bodies of the cell."
         if run.nearest
-        else "Of each verdict: the distance of the two bodies that are nearest to their stop distance on the way "
-        "that was judged."
+        else "Of each verdict: the distance of the two bodies that are nearest to their stop distance along the "
+        "certified path."
     )
     return f'<h2>Clearance</h2><figure class="wide">{drawn}<figcaption>{told}</figcaption></figure>'
 

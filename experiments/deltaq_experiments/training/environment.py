@@ -243,7 +243,7 @@ class CameraEnvironment(gymnasium.Env[Observation, Array]):
             DeltaqError: before the first reset.
         """
         if self._episode is None:
-            raise DeltaqError("no episode has begun: call reset() first")
+            raise DeltaqError("no episode is running: call reset() first")
         return self._episode
 
     def reset(
@@ -287,7 +287,7 @@ class CameraEnvironment(gymnasium.Env[Observation, Array]):
 
     def _given(self, options: dict[str, Any]) -> Array | None:
         if unknown := set(options) - {"start"}:
-            raise DeltaqError(f"options: {', '.join(sorted(unknown))} is no option; there is start")
+            raise DeltaqError(f"options: {', '.join(sorted(unknown))} is not an option; only start is")
         if "start" not in options:
             return None
         robot = self._scene.robot

@@ -58,7 +58,7 @@ def client_tls(hli: str, identity: str | os.PathLike[str] | None = None) -> dict
     folder = _folder(identity or os.environ.get(CLIENT_IDENTITY))
     if folder is None:
         raise IdentityError(
-            f"{hli} is encrypted, and {CLIENT_IDENTITY} names no identity; whoever runs the cell makes one with "
+            f"{hli} is encrypted, and {CLIENT_IDENTITY} names no identity; the operator of the cell makes one with "
             "`deltaq keys --cell CELL --output FOLDER --controller NAME` or `--operator NAME`"
         )
     for name in (AUTHORITY, CERTIFICATE, KEY):

@@ -169,7 +169,7 @@ def _elements(
                 raise EthernetConfigError(f"{where}: TAG comes twice, allowed is once")
             if element.channel is not None and other.channel == element.channel:
                 raise EthernetConfigError(
-                    f"{where}: INDX {element.channel} is taken by {other.tag}, "
+                    f"{where}: INDX {element.channel} is used by {other.tag}, "
                     f"allowed is a free one of 1 to {MAX_CHANNEL}"
                 )
             if other.group == element.group and (other.attribute is None) != (element.attribute is None):

@@ -119,8 +119,8 @@ def _address(config: EthernetConfig, station: Station) -> Iterator[Finding]:
         yield Finding(
             "error",
             "CONFIG/PORT",
-            f"is {config.port}, but the Robot Server listens on {station.port}: the KRC would be answered by nobody, "
-            "or by another robot's server; write the same in both",
+            f"is {config.port}, but the Robot Server listens on {station.port}: no server, or another "
+            "robot's, would answer the KRC; write the same in both",
             config.port,
             station.port,
             ("port",),
@@ -184,15 +184,14 @@ def _measurements(config: EthernetConfig, station: Station) -> Iterator[Finding]
             yield Finding(
                 "warning",
                 f"SEND/DEF_{programmed}",
-                "is missing: a session that is joined, or that goes on after an outage, cannot be told from where RSI "
-                "was started, and the robot could jump by what it has been corrected; add it with TYPE DOUBLE and "
-                "INDX INTERNAL",
+                "is missing: without it the Robot Server cannot tell a new session from a continuing one, and the "
+                "robot could jump by its whole correction; add it with TYPE DOUBLE and INDX INTERNAL",
             )
     if "Delay" not in sent:
         yield Finding(
             "warning",
             "SEND/DEF_Delay",
-            "is missing: replies that came too late are not told, so a setpoint that was never taken counts as taken; "
+            "is missing: late replies are not reported, so a lost setpoint counts as taken; "
             "add it with TYPE LONG and INDX INTERNAL",
         )
 

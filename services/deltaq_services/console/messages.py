@@ -38,7 +38,7 @@ _REMEDIES = {
     ReasonCode.TRACKING_ERROR: "Find what obstructs the robot, then reset it.",
     ReasonCode.REPLY_REFUSED: "Keep the Robot Server's log, then reset it.",
     ReasonCode.CYCLE_MISMATCH: "Let the KRC's program start RSI with the cell's cycle, or correct cycle_s.",
-    ReasonCode.CRASH_BRAKE_LOST: "It is started anew by itself. Reset the robot, and keep the Robot Server's log.",
+    ReasonCode.CRASH_BRAKE_LOST: "It is restarted automatically. Reset the robot, and keep the Robot Server's log.",
     ReasonCode.RSI_MODE: "Change the KRC's program to begin RSI with RSI_ON(#ABSOLUTE), then reset it.",
     ReasonCode.DRIVE_LAG: "Set gate.servo_lag_s as the Robot Server's detail says, then start the cell again.",
 }

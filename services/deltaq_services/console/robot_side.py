@@ -186,7 +186,9 @@ class RobotSide:
             return ViewWish(distance_m=command.value_m)
         for name in command.targets:
             if name not in self._others:
-                raise ValueError(f"targets: {name!r} is no other robot; there are {', '.join(self._others)}")
+                raise ValueError(
+                    f"targets: {name!r} is not another robot; there are {', '.join(self._others)}"
+                )
         return ViewWish(targets=tuple(ViewTarget(leader=name) for name in command.targets))
 
     def checked(self, command: DryRun) -> tuple[float, ...]:

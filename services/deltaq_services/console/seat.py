@@ -148,7 +148,7 @@ class Seat:
 
     def _asked_by(self, client: Client) -> Handled:
         if self.holder is None:
-            return Handled(refusal=f"nobody at this console has {self.robot}: take it")
+            return Handled(refusal=f"no client of this console drives {self.robot}: take it")
         if self.holder is client:
             return Handled(refusal=f"{self.robot} is yours")
         if self.wanted_by not in (None, client):
@@ -178,4 +178,4 @@ class Seat:
     def _nothing_to_answer(self, client: Client) -> str:
         if not self.is_held_by(client):
             return f"{self.robot} is not yours to hand over"
-        return "" if self.wanted_by is not None else f"nobody has asked for {self.robot}"
+        return "" if self.wanted_by is not None else f"no client has asked for {self.robot}"

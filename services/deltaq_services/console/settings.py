@@ -71,8 +71,8 @@ class Settings:
             )
         if (self.operator_token or self.has_role) and not self.token:
             raise NoTokenError(
-                "the console has a token or an identity of the cell's, and would command in its name for every user of "
-                f"this machine: give it a token of its own ({CONSOLE_TOKEN}_FILE; {MAKE_ONE}), start it with "
+                "the console has a token or an identity of the cell's, and would give its rights to every user "
+                f"of this machine: give it a token of its own ({CONSOLE_TOKEN}_FILE; {MAKE_ONE}), start it with "
                 "`deltaq up`, which makes one, or start it without the other"
             )
         if self.token and len(self.token) < LEAST_CHARACTERS:

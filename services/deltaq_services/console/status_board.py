@@ -191,7 +191,7 @@ class StatusBoard:
     def heard(self, holders: Mapping[str, str | None], now_s: float) -> None:
         """The HLI has reported the holders of all leases."""
         if not self.hli:
-            self._log.add(now_s, "link", "the HLI is heard")
+            self._log.add(now_s, "link", "the HLI answers")
         self.hli, self.text = True, ""
         for robot, holder in holders.items():
             if robot in self._robots:

@@ -46,7 +46,7 @@ MOST_GROUPS = 20
 """Greatest number of groups of one kind, outcome and role."""
 NEW_GROUPS_S = 0.2
 """Of these, new ones a second; at once there may be as many as at a time."""
-MANY = "more than can be told apart"
+MANY = "further groups"
 """The client's name in the group of all further ones."""
 
 

@@ -168,7 +168,7 @@ class HliCore(Part):
             case InvalidMessageError():
                 return self.increments.on_bad_increment(message, sender, time_s)
         if sender is None:
-            raise TypeError(f"a {type(message).__name__} has to be answered, and comes from nobody")
+            raise TypeError(f"a {type(message).__name__} needs an answer, but has no sender")
         if isinstance(message, Hello):
             return self.on_hello(message, sender)
         row = BY_MODEL.get(type(message))

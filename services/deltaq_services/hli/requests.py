@@ -60,7 +60,7 @@ def problem_of(request: ViewRequest, cell: CellDescription) -> tuple[str, str] |
         return text, f"give it one under `robots.{robot}.camera` in the cell's YAML"
     others = [name for name in cell.robots if name != robot]
     if request.leader is not None and request.leader not in others:
-        text = f"leader: {request.leader!r} is no other robot; {robot} can look at {', '.join(others) or 'nobody'}"
+        text = f"leader: {request.leader!r} is not another robot; {robot} can look at {', '.join(others) or 'nobody'}"
         return text, "name another robot of the cell"
     if request.focus_m is not None and (request.leader is not None or request.aim_offset_m is not None):
         return _NOT_ON_A_TOOL, "give one of them"
@@ -79,7 +79,7 @@ def problem_of(request: ViewRequest, cell: CellDescription) -> tuple[str, str] |
 def _problem_of_target(target: ViewTarget, others: Iterable[str]) -> str:
     """Why a target is not possible; empty if it is."""
     if target.leader is not None and target.leader not in others:
-        return f"leader: {target.leader!r} is no other robot; there are {', '.join(others) or 'none'}"
+        return f"leader: {target.leader!r} is not another robot; there are {', '.join(others) or 'none'}"
     if target.focus_m is None:
         return "" if target.leader is not None else "leader: missing, and so is focus_m"
     if target.leader is not None or target.aim_offset_m is not None:
@@ -267,7 +267,7 @@ class Requests:
                 sender, request, ReasonCode.LEASE_NOT_HELD, text, "acquire the lease first"
             )
         elif request.outputs and self._roles.controller_token is not None:
-            text = f"outputs of {robot} are set by the holder of its lease, and nobody holds it"
+            text = f"outputs of {robot} are set by the holder of its lease, but no client holds it"
             return outputs + self._error(
                 sender, request, ReasonCode.LEASE_NOT_HELD, text, "acquire the lease first"
             )

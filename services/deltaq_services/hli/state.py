@@ -168,7 +168,7 @@ class HliState(Part):
         outputs: list[Output] = []
         for lease in self.leases.expired(time_s):
             self.counters["leases_expired"] += 1
-            text = f"nothing was heard for {self.cell.lease_s:g} s"
+            text = f"no message came for {self.cell.lease_s:g} s"
             self.tell_of_lease(AuditKind.LEASE_EXPIRED, lease.origin, lease.robot, text)
             outputs += self._told_of_expiry(lease) + self.holder_lost(lease, time_s)
         late, answers = self.commands.overdue(time_s)

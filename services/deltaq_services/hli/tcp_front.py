@@ -113,7 +113,7 @@ class TcpFront:
             return hello.model_copy(update={"token": token})
         self._tries.failed(address, now)
         self.counters["tokens_wrong"] += 1
-        _log.warning("a wrong token from %s, who says to be %r", address, hello.client)
+        _log.warning("a wrong token from %s, who claims to be %r", address, hello.client)
         return None
 
     def leave(self, connection: TcpConnection) -> None:

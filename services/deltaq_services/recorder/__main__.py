@@ -26,7 +26,7 @@ def main() -> None:
     parser.add_argument(
         "--until-input-ends",
         action="store_true",
-        help="end when whoever started it closes its input, or has gone",
+        help="end when the parent process closes its input, or ends",
     )
     options = parser.parse_args()
     if options.until_input_ends:

@@ -228,5 +228,5 @@ class RecordingWriter:
             with contextlib.suppress(OSError):  # buffered messages are lost with the rest
                 self._file.close()
             raise RecordingError(
-                f"{self._path} cannot be written to any more: {error.strerror}; what was written so far can be read"
+                f"{self._path} can no longer be written: {error.strerror}; messages written so far can be read"
             ) from error

@@ -19,7 +19,7 @@ _SERVICE = "robot-server"
 
 def main() -> None:
     """Serve one robot of a cell."""
-    options = arguments("Robot Server: relays what passed the gate to one robot's controller", of_robot=True)
+    options = arguments("Robot Server: relays admitted setpoints to one robot's controller", of_robot=True)
     log.configure(_SERVICE, options.robot)
     cell = load_cell(options.cell)
     if options.robot not in cell.robots:

@@ -12,7 +12,9 @@ _log = logging.getLogger(__name__)
 
 def main() -> None:
     """Serve the gate of a cell."""
-    options = arguments("System Integrity Module: the gate that admits only what can still be braked")
+    options = arguments(
+        "System Integrity Module: the gate, which admits only increments with a certified brake"
+    )
     cell = CellModel.load(options.cell)
     ask_for_real_time(SchedulingPriority.SIM)
     shell = Shell(cell)

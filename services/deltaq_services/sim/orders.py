@@ -131,8 +131,8 @@ class Orders:
             )
         if state.reason is ReasonCode.CYCLE_MISMATCH:
             return ReasonCode.CAUSE_STANDS, (
-                f"the KRC of {self._robot.name} does not tick with the cell's cycle; its Robot Server's status tells "
-                "both figures"
+                f"the KRC of {self._robot.name} does not tick with the cell's cycle; its Robot Server's "
+                "status has both figures"
             )
         if state.reason is ReasonCode.DRIVE_LAG:
             lags_ms = ", ".join("-" if lag_s is None else f"{lag_s * 1e3:.0f}" for lag_s in state.lag_s)

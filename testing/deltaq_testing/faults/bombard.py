@@ -49,7 +49,7 @@ class Bomber:
             self._socket = socket.socket(socket.AF_INET, socket.SOCK_RAW, socket.IPPROTO_UDP)
         except PermissionError as error:
             raise NoRawSocketError(
-                "only a privileged user may send from port 0; leave out krc-port-zero, or be one"
+                "only a privileged user may send from port 0; leave out krc-port-zero, or run it as root"
             ) from error
         header = _UDP_HEADER.pack(0, to[1], _UDP_HEADER.size + len(_TELEGRAM), 0)
         self._datagram = header + _TELEGRAM

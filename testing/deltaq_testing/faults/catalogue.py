@@ -219,7 +219,7 @@ def _wire(name: str, what: str, **faults: Any) -> Fault:
 
 def _streams() -> tuple[Fault, ...]:
     kinds = (
-        ("stalled", "stands still, and then brings everything at once", StreamFaults(stalled=True)),
+        ("stalled", "stalls, and then delivers everything at once", StreamFaults(stalled=True)),
         ("broken", "is broken and refused again and again", StreamFaults(cut=True)),
     )
     return tuple(
@@ -265,7 +265,7 @@ def _datagrams() -> tuple[Fault, ...]:
 
 
 CATALOGUE: tuple[Fault, ...] = (
-    Fault("operator-stop", "somebody presses stop", PressStop()),
+    Fault("operator-stop", "an operator presses stop", PressStop()),
     Fault("controller-dead", "kill -9 of the controller", Kill(Process.CONTROLLER)),
     Fault("controller-frozen", "SIGSTOP of the controller", Freeze(Process.CONTROLLER)),
     Fault("controller-late", "increments come 60 ms late", Slow(Process.CONTROLLER, 0.06)),
@@ -339,8 +339,8 @@ CATALOGUE: tuple[Fault, ...] = (
         "a second KRC sends from another port, its robot 1.4° off",
         forge=[{"ipoc_shift": 60_000, "offset_deg": 1.4, "programmed_too": True}],
     ),
-    Fault("krc-oversized", "somebody sends datagrams longer than any telegram", Bombard.OVERSIZED),
-    Fault("krc-port-zero", "somebody sends telegrams from port 0", Bombard.PORT_ZERO),
+    Fault("krc-oversized", "another sender sends datagrams longer than any telegram", Bombard.OVERSIZED),
+    Fault("krc-port-zero", "another sender sends telegrams from port 0", Bombard.PORT_ZERO),
     Fault("krc-restarted", "the program on the KRC is started again", AskPanel({"op": "restart"})),
     Fault("krc-stopped", "stop at the KRC's pendant", AskPanel({"op": "stop"})),
     Fault("krc-drives-off", "the drives are switched off", AskPanel({"op": "drives", "on": False})),

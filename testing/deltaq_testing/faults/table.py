@@ -56,7 +56,7 @@ def run_table(
     chosen = [fault for fault in faults if fault.virtual]
     if not chosen:
         raise UnknownFaultError(
-            "none of these faults can be had in virtual time; `deltaq fault list` shows which can"
+            "none of these faults is possible in virtual time; `deltaq fault list` shows which can"
         )
     rows: list[FaultEffect] = []
     for fault in chosen:

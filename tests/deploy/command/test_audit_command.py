@@ -44,7 +44,7 @@ def test_it_shows_the_newest_over_rotated_files_and_passes_over_torn_lines(tmp_p
     log.write_bytes(entry(4, "chief", "fr") + b'{"half')
     done = deltaq("audit", str(log), "--json", "--lines", "3")
     assert [json.loads(line)["time_s"] for line in done.stdout.splitlines()] == [2.0, 3.0, 4.0]
-    assert done.stderr.startswith("lines that are no entries: 2;")
+    assert done.stderr.startswith("invalid lines: 2;")
     done = deltaq("audit", str(log), "--json", "--client", "stranger", "--robot", "fr")
     assert [json.loads(line)["time_s"] for line in done.stdout.splitlines()] == [3.0]
     table = deltaq("audit", str(log)).stdout
@@ -89,7 +89,7 @@ def test_up_names_the_log_and_audit_shows_the_clients(tmp_path: Path, arguments:
         tmp_path / "named.jsonl" if arguments else tmp_path / "state" / "deltaq" / f"audit-{cell.cell}.jsonl"
     )
     assert logs == [named]
-    assert f"who does what is written to {named}" in said + rest
+    assert f"the audit log is {named}" in said + rest
     done = deltaq("audit", str(named), "--json")
     entries = [json.loads(line) for line in done.stdout.splitlines()]
     assert [(entry["what"], entry["client"]) for entry in entries][:1] == [("connected", "visitor")]

@@ -106,7 +106,7 @@ def test_a_cell_that_is_not_up_is_exit_status_3_and_one_clear_line(
         (("camera", "view", "--target", "gr:1,2"), "--target"),
         (
             ("camera", "view", "--target", "gr", "--target", "-1,2,x"),
-            "'-1,2,x' is no target like gr, gr:0,0,0.04 or",
+            "'-1,2,x' is not a target like gr, gr:0,0,0.04 or",
         ),
         (("camera", "view", "--target", "0,0,1e9"), "focus_m.2: Input should be less than or equal to 100"),
         (("camera", "view", "--target", ""), "leader: String should have at least 1 character"),

@@ -137,7 +137,7 @@ def test_a_stop_ends_the_drive_and_a_held_robot_is_not_driven(cell: Path, tmp_pa
             running.stop()
         _, error = driver.communicate(timeout=300)
     assert driver.returncode == 1
-    assert "gr is held: somebody pressed stop" in error
+    assert "gr is held: a client pressed stop" in error
     assert "`deltaq reset --robot gr`" in error
     again = deltaq("drive", "--robot", "gr", "--script", script, "--cell", str(cell))
     assert (again.returncode, "gr is held" in again.stderr) == (1, True)

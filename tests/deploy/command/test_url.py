@@ -35,7 +35,7 @@ def test_without_a_listener_one_line_says_what_to_start(verb: tuple[str, ...]) -
     nowhere = endpoint()
     done = deltaq(*verb, "--url", nowhere)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (3, "", 1)
-    assert done.stderr.startswith(f"deltaq: nobody answers at {nowhere}; is the cell up (`deltaq up`)")
+    assert done.stderr.startswith(f"deltaq: no server answers at {nowhere}; is the cell up (`deltaq up`)")
     assert ".rs:" not in done.stderr
 
 

@@ -100,7 +100,7 @@ def test_a_service_that_dies_early_is_reported_with_its_own_last_words() -> None
         Launcher([service("sim", SERVES), service("hli", DIES)], nothing) as launcher,
         pytest.raises(
             LaunchError,
-            match=r"hli ended with exit status 3 before it served; hli said last:\n  no such cell",
+            match=r"hli ended with exit status 3 before it served; hli printed last:\n  no such cell",
         ),
     ):
         launcher.start()

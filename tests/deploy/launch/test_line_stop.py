@@ -67,7 +67,7 @@ def test_a_server_with_another_certificate_is_not_trusted_but_gets_the_stop(
 ) -> None:
     with Server(encrypted=certificate(tmp_path)) as server:
         with pytest.raises(
-            LineEncryptionError, match=r"was told to stop, but has not the certificate .*\.pem"
+            LineEncryptionError, match=r"got the stop, but does not have the certificate .*\.pem"
         ):
             stop_over_a_line(server.description, files)
         assert server.command().kind == "stop"
@@ -101,5 +101,5 @@ def deaf(says: bytes, times: int) -> Iterator[CellDescription]:
 def test_an_end_without_an_answer_is_no_stop(files: dict[str, str], says: bytes) -> None:
     with deaf(says, 1) as cell, pytest.raises(ServiceUnreachableError):
         stop_over_a_line(cell, {})
-    with deaf(says, 2) as cell, pytest.raises(ServiceUnreachableError, match="sent in the clear, too"):
+    with deaf(says, 2) as cell, pytest.raises(ServiceUnreachableError, match="also sent in the clear"):
         stop_over_a_line(cell, files)

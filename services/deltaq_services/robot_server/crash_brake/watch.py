@@ -147,7 +147,7 @@ class CrashWatch:
             return
         if fault != self._lost:
             _log.error(
-                "the process that brakes %s if this one dies %s: %s is held while another starts",
+                "the crash brake of %s %s: %s is held while another starts",
                 self._robot, fault, self._robot,
             )  # fmt: skip
             self._lost = fault
@@ -209,7 +209,7 @@ class CrashWatch:
         """The fault, for people; empty if there is none."""
         if self.ready:
             return ""
-        return f"the process that brakes the robot if this one dies {self._fault() or 'is starting'}"
+        return f"the crash brake's process {self._fault() or 'is starting'}"
 
     def write(self, body: bytes | None, peer: Address, time_s: float) -> None:
         """Write the record of the reply that is about to be sent; None if no process could continue from it."""
