@@ -72,7 +72,7 @@ def test_up_names_the_log_and_audit_shows_the_clients(tmp_path: Path, arguments:
     ) as running:
         assert running.stdout is not None
         said = ""
-        awaited = ["JSON lines at", *(["who does what"] if arguments != ("--no-audit",) else [])]
+        awaited = ["JSON lines at", *(["the audit log is"] if arguments != ("--no-audit",) else [])]
         while not all(text in said for text in awaited):
             said += running.stdout.readline()
         with socket.create_connection((cell.tcp_address, cell.tcp_port)) as line:
