@@ -168,12 +168,6 @@ class RobotModel:
         """
         return self._carried.of(point)
 
-    def joint_axes(self, q: ArrayLike) -> Array:
-        """(n, 3) unit vectors of the joints' axes at `q` (n,), in world coordinates."""
-        jacobian = np.reshape(pin.computeJointJacobians(self.model, self._data, self._checked(q)), (6, -1))
-        axes: Array = np.where(self.revolute[:, None], jacobian[3:].T, jacobian[:3].T)
-        return axes
-
     def joint_origins(self, q: ArrayLike) -> Array:
         """(n, 3) a point on each joint's axis at `q` (n,), in world coordinates [m]."""
         pin.forwardKinematics(self.model, self._data, self._checked(q))

@@ -250,7 +250,7 @@ def test_an_axis_that_rounding_has_lengthened_is_normalised(tmp_path: Path) -> N
     text = arm().replace('xyz="0 1 0"', 'xyz="0 1.0003 0"', 1).replace('xyz="0 1 0"', 'xyz="0 70 0"', 1)
     robot = CellModel.load(cell(tmp_path, text, ("j1", "j2", "j3", "j4"))).robots["r"]
     np.testing.assert_allclose(
-        robot.joint_axes(robot.home + 0.5), np.tile([0.0, 1.0, 0.0], (4, 1)), atol=1e-12
+        robot.jacobian(robot.home + 0.5)[3:].T, np.tile([0.0, 1.0, 0.0], (4, 1)), atol=1e-12
     )
 
 

@@ -188,11 +188,6 @@ class CameraFollower:
         integrate(self._law.rates, q, gains.horizon_s, gains.max_step_s, self.limits.max_dq)
         self._obstacles(leader.home if leader is not None else None)
 
-    @property
-    def in_emergency(self) -> bool:
-        """True while the camera task is given up for (13)."""
-        return self._emergency.active
-
     def increment(
         self,
         q_cmd: Array,
