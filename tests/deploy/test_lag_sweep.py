@@ -54,7 +54,7 @@ def test_it_tells_the_lag_of_each_axis(robot, cycle_s, lost, lag):
 def test_an_axis_that_does_not_follow_is_told_with_what_it_did():
     courses = courses_of(FR, ServoLag(), 0.012, stuck=[2])
     measured_axis(courses[1], 0.012)
-    with pytest.raises(ValueError, match=r"it moved by 0\.000000 where 0\.005933 was sent"):
+    with pytest.raises(ValueError, match=r"it moved by 0\.000000 instead of 0\.005933"):
         measured_axis(courses[2], 0.012)
 
 

@@ -34,7 +34,7 @@ def test_a_fault_that_no_panel_can_inject_is_refused_before_anything_is_asked():
     ],
 )
 def test_a_fault_that_cannot_be_had_this_way_is_told(name, run, way):
-    with pytest.raises(UnknownFaultError, match=f"can be had .*{way}"):
+    with pytest.raises(UnknownFaultError, match=f"none of these faults .*{way}"):
         run("lab", "fr", faults=[fault_named(name)])
 
 

@@ -28,7 +28,7 @@ def test_a_refusal_names_policy_priority_limit_and_remedy() -> None:
         (950_000, 1_000_000, Rating.GOOD, "95% at most"),
         (-1, 1_000_000, Rating.FAIR, "off"),
         (1_000_000, 1_000_000, Rating.FAIR, "off"),
-        (None, None, Rating.FAIR, "not told"),
+        (None, None, Rating.FAIR, "does not say"),
     ],
 )
 def test_throttling_that_is_off_is_told_with_the_remedy(
