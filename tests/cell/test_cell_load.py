@@ -321,9 +321,9 @@ def test_a_removed_entry_may_be_restored_by_a_further_extension(tmp_path: Path) 
             "structure:\n  pipes: null\n",
             3,
             "structure.pipes",
-            "take out; there is pipe; did you mean 'pipe'?",
+            "remove; there is pipe; did you mean 'pipe'?",
         ),
-        ("contacts: {touch: null}\n", 2, "contacts.touch", "take out; there is nothing"),
+        ("contacts: {touch: null}\n", 2, "contacts.touch", "remove; there is nothing"),
     ],
 )
 def test_an_absent_entry_cannot_be_removed(

@@ -330,7 +330,9 @@ def _command() -> typer.Typer:
             if name not in heads:
                 parent = groups[group] if group else command
                 of_panel = None if group else panel
-                parent.command(own_name, rich_help_panel=of_panel, epilog=epilog)(does)  # type: ignore[type-var]
+                paragraphs = (does.__doc__ or "").split("\n\n")
+                text = "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
+                parent.command(own_name, help=text, rich_help_panel=of_panel, epilog=epilog)(does)  # type: ignore[type-var]
                 continue
             if isinstance(does, str):
                 groups[name] = _group(help=does, epilog=epilog, no_args_is_help=True)

@@ -34,7 +34,7 @@ def lag(
 ) -> None:
     """Measure how far the drives of a running robot lag: it moves each axis a little, slowly, through the gate.
 
-    Each axis makes a step of at most .5 deg or 1 mm and a sweep of 3 deg or 30 mm at a tenth of its speed. Ctrl-C
+    Each axis makes a step of at most 0.5 deg or 1 mm and a sweep of 3 deg or 30 mm at a tenth of its speed. Ctrl-C
     brings the robot to rest. Exit status 1 if an axis lags more than the cell's gate.servo_lag_s.
     """
     from deltaq_cell.load import load_cell

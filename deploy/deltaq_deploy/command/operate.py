@@ -273,7 +273,7 @@ def follow(
     cell: CellOption = "lab",
     url: UrlOption = None,
 ) -> None:
-    """Follow a robot of a running cell with another robot's camera; `deltaq camera view` changes the view meanwhile."""
+    """Follow a robot of a running cell with another robot's camera; `deltaq camera view` changes the view."""
     from deltaq_cell.load import parse_cell
     from deltaq_cell.roles import camera_roles
     from deltaq_deploy.command.console import shown_compiled_ahead

@@ -23,7 +23,7 @@ RobotOption = Annotated[str, typer.Option("--robot", help="Name of a robot of th
 ControllerOption = Annotated[
     str,
     typer.Option(
-        help="Who moves the camera: qp, paper, predictive, clear-view, escape, or your own as package.module:function."
+        help="Camera controller: qp, paper, predictive, clear-view, escape, or your own as package.module:function."
     ),
 ]
 CriterionOption = Annotated[

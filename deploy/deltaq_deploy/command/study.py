@@ -92,10 +92,10 @@ def experiment(
     robot: Annotated[str | None, _FOLLOWING] = None,
     leader: Annotated[str | None, _WATCHED] = None,
     leader_speed_m_s: Annotated[
-        float, typer.Option(min=0.0, help="Speed that the leader's tool is asked for.")
+        float, typer.Option(min=0.0, help="Requested speed of the leader's tool.")
     ] = 0.25,
     stick_m_s2: Annotated[
-        float, typer.Option(min=0.1, help="Largest acceleration that the leader's tool is asked for.")
+        float, typer.Option(min=0.1, help="Largest requested acceleration of the leader's tool.")
     ] = 2.0,
     latency_s: LatencyOption = 0.0,
     duration_s: LengthOption = None,
