@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deltaq.motion import InvalidMotionError, Motion, MotionError, checked, held, joint_path
+from deltaq.motion import REACHED, InvalidMotionError, Motion, MotionError, checked, held, joint_path
 from deltaq.tool import Tool
 from deltaq_controllers.answers import Answers, own_view, view_ahead
 from deltaq_controllers.interface import Controller
@@ -30,8 +30,6 @@ _AT_REST = 2e-4
 """A robot is at rest when no joint moved by more from one state to the next [rad or m]."""
 _NEAR = 2e-3
 """And when no measured joint is farther from the target [rad or m]."""
-_REACHED = 1e-6
-"""A setpoint is the target when it is nearer [rad or m]."""
 
 
 class Robot:
@@ -243,7 +241,7 @@ def rests_at(end: Array, before: RobotState, state: RobotState) -> bool:
     """
     measured, setpoint = np.array(state.q), np.array(state.q_cmd)
     return bool(
-        np.abs(setpoint - end).max() < _REACHED
+        np.abs(setpoint - end).max() < REACHED
         and np.abs(measured - end).max() < _NEAR
         and np.abs(measured - np.array(before.q)).max() < _AT_REST
     )

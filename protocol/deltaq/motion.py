@@ -22,6 +22,8 @@ _PATIENCE_S = 0.5
 """A motion that the gate keeps in its place for so long has failed [s]."""
 _ARRIVED = 1e-9
 """Distance to the end of the path, which has the length 1, at which the end is reached."""
+REACHED = 1e-6
+"""Distance to the end at which a setpoint is there [rad or m]."""
 _SPEED_UNITS = {
     ReasonCode.POSITION_LIMIT: "",
     ReasonCode.VELOCITY_LIMIT: "/s",
@@ -152,6 +154,7 @@ class Motion:
         curved = np.sqrt(_CURVED * acceleration / np.maximum(bend, 1e-12))
         self._most = float(min(fastest.min(), curved.min())) * cycle_s
         self._step = float((_STRAIGHT * acceleration / velocity).min()) * cycle_s**2
+        self._nudge = _STRAIGHT * acceleration * cycle_s**2
         self._patience_cycles = max(2, round(_PATIENCE_S / cycle_s))
         self._at, self._pace, self._cycle = 0.0, 0.0, -1
         self._stood = 0
@@ -185,15 +188,19 @@ class Motion:
         self._pace = min(self._pace, max(0.0, place - self._at) / cycles + self._step)
         self._stood = self._stood + cycles if place <= self._at and self._cycle >= 0 else 0
         self._at, self._cycle = place, cycle
+        left = 1.0 - place
+        off = self.end - q_cmd
+        if left <= _ARRIVED and np.abs(off).max() < REACHED:
+            return None
         if self._stood > self._patience_cycles:
             raise MotionError(
                 f"{self._robot} stands {1.0 - place:.0%} of its way before the target",
                 self._reason,
                 summary=self._summary,
             )
-        left = 1.0 - place
-        if left <= _ARRIVED:
-            return None
+        if left <= _ARRIVED:  # beyond the end, or beside it: a setpoint that was not known had been sent
+            back: Array = off * min(1.0, float((self._nudge / np.maximum(np.abs(off), 1e-12)).min()))
+            return back
         # the greatest pace from which it can slow down before the end: pace + pace**2 / (2 step) - pace / 2 <= left
         slowing = self._step * (math.sqrt(0.25 + 2.0 * left / self._step) - 0.5)
         self._pace = min(self._pace + self._step, self._most, slowing, left)

@@ -5,7 +5,7 @@ import pinocchio as pin
 import pytest
 
 from deltaq.aio import rests_at
-from deltaq.motion import Motion, MotionError, joint_path
+from deltaq.motion import REACHED, Motion, MotionError, joint_path
 from deltaq.tool import Tool
 from deltaq_cell.cell_model import CellModel
 from deltaq_protocol.arrays import Array
@@ -19,8 +19,13 @@ CYCLE_S = TOLD.cycle_s
 ROUNDING = 1e-9
 
 
-def setpoints(motion: Motion, start: Array, robot: str, lost: float = 0.0, seed: int = 0) -> Array:
-    """The setpoints of a motion of which a share of increments is lost: then the robot brakes, as it really does."""
+def setpoints(
+    motion: Motion, start: Array, robot: str, lost: float = 0.0, seed: int = 0, twice: float = 0.0
+) -> Array:
+    """The setpoints of a motion of which a share of increments is lost: then the robot brakes, as it really does.
+
+    A share of increments is sent twice, as one is that is asked for again before its setpoint is known.
+    """
     random = np.random.default_rng(seed)
     max_dv = np.array(TOLD.robots[robot].max_acceleration) * CYCLE_S**2
     rows, dq, braked = [start], np.zeros_like(start), 0
@@ -36,6 +41,8 @@ def setpoints(motion: Motion, start: Array, robot: str, lost: float = 0.0, seed:
             before = brake_increment(dq, brake_cycles(dq, max_dv), braked)
             dq, braked = before + np.clip(asked - before, -max_dv, max_dv), 0
             rows.append(rows[-1] + dq)
+            if random.random() < twice:
+                rows.append(rows[-1] + dq)
     pytest.fail("it never arrived")
 
 
@@ -71,6 +78,33 @@ def test_a_motion_of_which_every_tenth_increment_is_lost_arrives(seed: int) -> N
     rows = setpoints(Motion("fr", np.stack([start, target]), summary, CYCLE_S, 0.8), start, "fr", 0.1, seed)
     assert np.abs(rows[-1] - target).max() < ROUNDING
     assert (np.diff(rows, axis=0) * np.sign(target - start) > -ROUNDING).all()  # it never goes back
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_motion_of_which_increments_are_sent_twice_goes_back_to_its_target(seed: int) -> None:
+    summary = TOLD.robots["fr"]
+    start = np.array(summary.home)
+    target = start + np.array([0.5, -0.1, 0.1, 0.4, -0.2, 1.0])
+    motion = Motion("fr", np.stack([start, target]), summary, CYCLE_S, 0.8)
+    rows = setpoints(motion, start, "fr", 0.1, seed, twice=0.2)
+    assert np.abs(rows[-1] - target).max() < REACHED
+
+
+def test_a_motion_waits_for_drives_at_its_end_for_as_long_as_they_take() -> None:
+    summary = TOLD.robots["fr"]
+    start = np.array(summary.home)
+    motion = Motion("fr", np.stack([start, start + 1e-3]), summary, CYCLE_S)
+    assert [motion.increment(cycle, start + 1e-3) for cycle in range(round(5 / CYCLE_S))] == [None] * 417
+
+
+@pytest.mark.parametrize("off", [1e-2, -1e-2, np.array([0, 1e-2, 0, 0, 0, -1e-3])])
+def test_a_robot_that_was_sent_beyond_its_target_or_beside_it_comes_back(off: float | Array) -> None:
+    summary = TOLD.robots["fr"]
+    start = np.array(summary.home)
+    motion = Motion("fr", np.stack([start, start + 0.1]), summary, CYCLE_S)
+    motion.increment(0, start + 0.1)
+    rows = setpoints(motion, start + 0.1 + off, "fr")
+    assert np.abs(rows[-1] - start - 0.1).max() < REACHED
 
 
 def test_a_motion_that_the_gate_keeps_in_its_place_names_what_keeps_it() -> None:
