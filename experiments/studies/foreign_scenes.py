@@ -1,0 +1,384 @@
+"""The gate alone among other people's scenes: `python -m studies.foreign_scenes --data FOLDER --every 25`.
+
+Problems of MotionBenchMaker (Chamzas et al., RA-L 2022) for a UR5 and a Panda, in FOLDER/ur5 and FOLDER/panda with
+URDF, SRDF, meshes and `problems.tar.bz2`. Each is planned with RRT-Connect (Kuffner and LaValle, ICRA 2000) and
+shortcuts, clear by the stop distance on the meshes, and sent at full speed through `deltaq.Gate`. `MeshOracle` judges
+every setpoint and where the robot would stop after it, on the meshes themselves: no hull and no kernel of the gate's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tarfile
+import time
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+import yaml
+
+from deltaq import Box, Cylinder, Gate, GateError, Sphere
+from deltaq.obstacles import Obstacle
+from deltaq_cell.models import collision_names, load_urdf
+from deltaq_cell.urdf_parsing import parse_geometry, parse_model
+from deltaq_deploy.launch.program import run_program
+from deltaq_protocol.arrays import Array
+
+STOP_M, SELF_STOP_M = 0.005, 0.002
+CYCLE_S = 0.004
+ROUNDING_M = 1e-5
+"""By which coal's distance to a mesh and to its hull may differ [m]."""
+RESOLUTION = 0.04
+"""Of the planner's checks: norm of a step in joint space [rad]."""
+TRIES = 4000
+"""Of the planner, after which a problem counts as not planned."""
+RAMP_S = 0.2
+"""Time from a hold to full speed along the path [s]."""
+PATIENCE = 250
+"""Cycles without progress after which a path counts as blocked."""
+
+
+class MeshOracle:
+    """Whether configurations keep distances, on the meshes.
+
+    Args:
+        urdf: of the robot.
+        obstacles: by name.
+        left_out: pairs of bodies, named `LINK`, that are not judged.
+        locked: joints that do not move, and where they are [rad or m].
+    """
+
+    def __init__(
+        self,
+        urdf: str | Path,
+        obstacles: Mapping[str, Obstacle],
+        left_out: set[frozenset[str]],
+        locked: Mapping[str, float] | None = None,
+    ) -> None:
+        source = load_urdf(str(urdf))
+        self.model = parse_model(source, locked or {})
+        self._data = self.model.createData()
+        self.geometry = parse_geometry(source, pin.GeometryType.COLLISION, pin.SE3.Identity(), locked or {})
+        names = collision_names(source)
+        for body in self.geometry.geometryObjects:
+            link, index = body.name.rsplit("_", 1)
+            body.name = names[link][int(index)]
+        # by value, since adding a body moves the others in memory
+        links = [(str(body.name), int(body.parentJoint)) for body in self.geometry.geometryObjects]
+        own = range(len(links))
+        for name, obstacle in obstacles.items():
+            place = pin.SE3(pin.rpy.rpyToMatrix(*obstacle.rpy), np.array(obstacle.at))
+            self.geometry.addGeometryObject(
+                pin.GeometryObject(f"structure/{name}", 0, place, _shape(obstacle))
+            )
+        pairs = [(i, j) for i in own for j in own if i < j and _is_judged(links[i], links[j], left_out)]
+        self.margins = [SELF_STOP_M] * len(pairs)
+        bodies = range(len(links), len(self.geometry.geometryObjects))
+        pairs += [(i, j) for i in own if links[i][1] for j in bodies]
+        self.margins += [STOP_M] * (len(pairs) - len(self.margins))
+        for pair in pairs:
+            self.geometry.addCollisionPair(pin.CollisionPair(*pair))
+        self._asked = self.geometry.createData()
+
+    def clear(self, q: Array, slack_m: float = 0.0) -> bool:
+        """Whether all pairs keep their distance, less `slack_m`, at `q` (n,)."""
+        for request, margin in zip(self._asked.collisionRequests, self.margins, strict=True):
+            request.security_margin = margin - slack_m
+        return not pin.computeCollisions(self.model, self._data, self.geometry, self._asked, q, True)
+
+    def distance_m(self, q: Array, pair: tuple[str, str]) -> float:
+        """Distance of two bodies at `q` (n,), on the meshes."""
+        first, second = (self.geometry.getGeometryId(name) for name in pair)
+        pairs = [(pair.first, pair.second) for pair in self.geometry.collisionPairs]
+        number = next(i for i, each in enumerate(pairs) if set(each) == {first, second})
+        pin.updateGeometryPlacements(self.model, self._data, self.geometry, self._asked, q)
+        return float(pin.computeDistance(self.geometry, self._asked, number).min_distance)
+
+
+def _is_judged(one: tuple[str, int], other: tuple[str, int], left_out: set[frozenset[str]]) -> bool:
+    return one[1] != other[1] and frozenset((one[0], other[0])) not in left_out
+
+
+def _shape(obstacle: Obstacle) -> Any:
+    match obstacle:
+        case Box():
+            return coal.Box(*obstacle.size_m)
+        case Cylinder():
+            return coal.Cylinder(obstacle.radius_m, obstacle.length_m)
+        case Sphere():
+            return coal.Sphere(obstacle.radius_m)
+    raise TypeError(f"no shape for {obstacle}")
+
+
+def steps_between(one: Array, other: Array, resolution: float = RESOLUTION) -> Array:
+    """(k, n) configurations on the line from `one` to `other`, the first left out."""
+    count = max(1, int(np.ceil(np.linalg.norm(other - one) / resolution)))
+    line: Array = one + np.linspace(0, 1, count + 1)[1:, None] * (other - one)
+    return line
+
+
+def plan(
+    start: Array, goal: Array, lower: Array, upper: Array, clear: Callable[[Array], bool], rng: Any
+) -> list[Array] | None:
+    """A path of straight lines, by RRT-Connect and shortcuts; None if none was found."""
+    trees: list[list[tuple[Array, int]]] = [[(start, -1)], [(goal, -1)]]
+
+    def extend(tree: list[tuple[Array, int]], target: Array, most: float) -> Array:
+        nearest = int(np.argmin([np.linalg.norm(q - target) for q, _ in tree]))
+        at, last = tree[nearest][0], nearest
+        for q in steps_between(at, target):
+            if np.linalg.norm(q - at) > most or not clear(q):
+                break
+            tree.append((q, last))
+            last = len(tree) - 1
+        return tree[last][0]
+
+    def way(tree: list[tuple[Array, int]], q: Array) -> list[Array]:
+        index = next(i for i, (each, _) in enumerate(tree) if each is q)
+        found = []
+        while index >= 0:
+            found.append(tree[index][0])
+            index = tree[index][1]
+        return found
+
+    for number in range(TRIES):
+        mine, theirs = trees[number % 2], trees[1 - number % 2]
+        target = goal if number == 0 else rng.uniform(lower, upper)
+        reached = extend(mine, target, 1.0)
+        met = extend(theirs, reached, np.inf)
+        if np.allclose(met, reached):
+            path = way(mine, reached)[::-1] + way(theirs, met)
+            return _shortened(path if number % 2 == 0 else path[::-1], clear, rng)
+    return None
+
+
+def _shortened(path: list[Array], clear: Callable[[Array], bool], rng: Any) -> list[Array]:
+    for _ in range(80):
+        if len(path) < 3:
+            break
+        i, j = sorted(rng.choice(len(path), 2, replace=False))
+        if j - i > 1 and all(clear(q) for q in steps_between(path[i], path[j])):
+            path = path[: i + 1] + path[j:]
+    return path
+
+
+def timed(path: list[Array], velocity: Array, acceleration: Array) -> Array:
+    """(k, n) setpoints of all cycles: each line from rest to rest in the least time that the limits allow."""
+    rows = [path[0][None]]
+    for one, other in pairwise(path):
+        travel = np.abs(other - one)
+        if travel.max() < 1e-9:  # where the planner's trees met
+            continue
+        with np.errstate(divide="ignore"):
+            speed, rate = float((velocity / travel).min()), float((acceleration / travel).min())
+        speed = min(speed, np.sqrt(rate))
+        length_s = 1 / speed + speed / rate
+        t = np.arange(1, int(np.ceil(length_s / CYCLE_S)) + 1) * CYCLE_S
+        t, ramp = np.minimum(t, length_s), speed / rate
+        up, down = rate * t**2 / 2, 1 - rate * (length_s - t) ** 2 / 2
+        share = np.where(t < ramp, up, np.where(t > length_s - ramp, down, speed * (t - ramp / 2)))
+        rows.append(one + share[:, None] * (other - one))
+    return np.vstack(rows)
+
+
+@dataclass
+class Scene:
+    """Results of one scene.
+
+    Attributes:
+        problems, start_near, goal_near, not_planned: counted; the rest was streamed.
+        refused: problems that `Gate` did not take, with its words.
+        decisions, false_admissions: cycles, and those after which the oracle found a pair too near.
+        clear_rad, admitted_rad: length of all paths, and of what was admitted of them.
+        unfiltered_s, filtered_s: time of what was admitted, by the limits alone and through the gate.
+        ms: of each decision.
+        causes: cycles that were limited, by reason; blocked: pairs at which a path ended.
+    """
+
+    problems: int = 0
+    start_near: int = 0
+    goal_near: int = 0
+    not_planned: int = 0
+    refused: list[str] = field(default_factory=list)
+    decisions: int = 0
+    false_admissions: int = 0
+    clear_rad: float = 0.0
+    admitted_rad: float = 0.0
+    unfiltered_s: float = 0.0
+    filtered_s: float = 0.0
+    ms: list[float] = field(default_factory=list)
+    causes: Counter[str] = field(default_factory=Counter)
+    blocked: Counter[str] = field(default_factory=Counter)
+
+    def row(self) -> dict[str, Any]:
+        """The figures to print."""
+        told = {key: value for key, value in asdict(self).items() if key not in ("ms", "causes", "blocked")}
+        ms = np.array(self.ms or [0.0])
+        return told | {
+            "share_admitted": round(self.admitted_rad / max(self.clear_rad, 1e-9), 4),
+            "speed_kept": round(self.unfiltered_s / max(self.filtered_s, 1e-9), 4),
+            "p50_ms": round(float(np.percentile(ms, 50)), 3),
+            "p99_ms": round(float(np.percentile(ms, 99)), 3),
+            "causes": dict(self.causes.most_common(4)),
+            "blocked": dict(self.blocked.most_common(3)),
+        }
+
+
+def stream(gate: Gate, oracle: MeshOracle, path: Array, scene: Scene) -> None:
+    """Send a path through the gate, along it as fast as the gate admits, and judge every setpoint."""
+    at, rate, waits, cycles = 0.0, 1.0, 0, 0
+    lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    index = np.arange(len(path))
+    last = ""
+    step = gate.would_admit(None, path[0] - path[0])
+    while at < len(path) - 1 and waits < PATIENCE:
+        ahead = min(at + rate, len(path) - 1.0)
+        target = np.array([np.interp(ahead, index, joint) for joint in path.T])
+        begin = time.perf_counter()
+        step = gate.step(target - gate.q_cmd())
+        scene.ms.append((time.perf_counter() - begin) * 1e3)
+        cycles += 1
+        # the stopping trajectory: dq times (N - k) / N for k of 1 to N
+        rest = step.q_cmd + step.dq * max(0.0, (step.verdict.time_to_stop_s or 0.0) / CYCLE_S - 1) / 2
+        if not (oracle.clear(step.q_cmd, ROUNDING_M) and oracle.clear(rest, ROUNDING_M)):
+            scene.false_admissions += 1
+        # a part of a request, or a step of the stopping trajectory, goes along the path, too
+        near = np.minimum(at + np.linspace(0.0, 2.0, 81), len(path) - 1.0)
+        offs = [
+            np.linalg.norm(step.q_cmd - [np.interp(one, index, joint) for joint in path.T]) for one in near
+        ]
+        gone = (ahead if step.admitted else near[int(np.argmin(offs))]) - at
+        waits = waits + 1 if gone < 1e-3 else 0
+        at += gone
+        rate = min(1.0, gone + CYCLE_S / RAMP_S)
+        if step.reasons:
+            last = step.why.partition(":")[0]
+            scene.causes[step.reasons[0].code.value] += 1
+    scene.decisions += cycles
+    scene.clear_rad += lengths[-1]
+    scene.admitted_rad += float(np.interp(at, index, lengths))
+    scene.unfiltered_s += at * CYCLE_S
+    scene.filtered_s += (cycles - waits) * CYCLE_S
+    if waits >= PATIENCE and step.verdict.pair is not None:
+        one, other = (name.removeprefix("arm/") for name in step.verdict.pair)
+        on_mesh, on_hull = oracle.distance_m(step.q_cmd, (one, other)), step.verdict.clearance_m or 0.0
+        scene.blocked[
+            f"{last}, {on_mesh * 1e3:.1f} mm on the mesh and {on_hull * 1e3:.1f} mm on the hull"
+        ] += 1
+
+
+def problems(folder: Path, every: int) -> Iterator[tuple[str, dict[str, Any], dict[str, Any]]]:
+    """Name of the scene, scene and request of every so many-th problem."""
+    with tarfile.open(folder / "problems.tar.bz2") as archive:
+        members = {member.name: member for member in archive.getmembers()}
+        for name in sorted(name for name in members if "/request" in name):
+            if (int(name[-9:-5]) - 1) % every == 0:
+                read = [
+                    archive.extractfile(members[each]) for each in (name.replace("request", "scene"), name)
+                ]
+                scene, request = (yaml.safe_load(file.read()) for file in read if file is not None)
+                yield name.split("/")[-2], scene, request
+
+
+def obstacles_of(scene: dict[str, Any]) -> dict[str, Obstacle]:
+    """The bodies of a scene."""
+    found: dict[str, Obstacle] = {}
+    for number, item in enumerate(scene["world"]["collision_objects"]):
+        for part, (shape, pose) in enumerate(zip(item["primitives"], item["primitive_poses"], strict=True)):
+            place = _pose(item["pose"]) * _pose(pose) if "pose" in item else _pose(pose)
+            rpy, size = _vector(pin.rpy.matrixToRpy(place.rotation)), shape["dimensions"]
+            at = _vector(place.translation)
+            made: Obstacle
+            match shape["type"]:
+                case "box":
+                    made = Box(tuple(size), at=at, rpy=rpy)
+                case "cylinder":
+                    made = Cylinder(size[1], size[0], at=at, rpy=rpy)
+                case _:
+                    made = Sphere(size[0], at=at)
+            found[f"body_{number}_{part}"] = made
+    return found
+
+
+def _vector(array: Array) -> tuple[float, float, float]:
+    x, y, z = array.tolist()
+    return x, y, z
+
+
+def _pose(told: dict[str, Any]) -> pin.SE3:
+    rotation = pin.Quaternion(np.array(told["orientation"], dtype=np.float64)).normalized().toRotationMatrix()
+    return pin.SE3(rotation, np.array(told["position"], dtype=np.float64))
+
+
+def run(folder: Path, every: int, seed: int, until: float) -> dict[str, Scene]:
+    """Every so many-th problem of one robot, until a time of `time.monotonic`."""
+    urdf, srdf = folder / f"{folder.name}.urdf", folder / f"{folder.name}.srdf"
+    scenes: dict[str, Scene] = defaultdict(Scene)
+    for name, told, request in problems(folder, every):
+        if time.monotonic() > until:
+            break
+        scene = scenes[name]
+        scene.problems += 1
+        start = dict(
+            zip(*(request["start_state"]["joint_state"][key] for key in ("name", "position")), strict=True)
+        )
+        goal = {
+            one["joint_name"]: one["position"] for one in request["goal_constraints"][0]["joint_constraints"]
+        }
+        obstacles = obstacles_of(told)
+        try:
+            gate = Gate.from_urdf(
+                urdf, CYCLE_S, obstacles, [start[joint] for joint in goal], srdf=srdf, stop_distance_m=STOP_M,
+                self_stop_distance_m=SELF_STOP_M, tolerance=1e-6,
+            )  # fmt: skip
+        except GateError as error:
+            scene.refused.append(str(error)[:160])
+            continue
+        robot = gate.cell.robots["arm"]
+        left_out = {frozenset(each.removeprefix("arm/") for each in pair) for pair in robot.never_checked}
+        oracle = MeshOracle(urdf, obstacles, left_out)
+        q, target = gate.q_cmd(), np.array([goal[joint] for joint in robot.joint_names])
+        if not oracle.clear(q):
+            scene.start_near += 1
+        elif not oracle.clear(target):
+            scene.goal_near += 1
+        else:
+            rng = np.random.default_rng(seed)
+            path = plan(q, target, robot.lower, robot.upper, oracle.clear, rng)
+            if path is None:
+                scene.not_planned += 1
+            else:
+                stream(gate, oracle, timed(path, robot.max_velocity, robot.max_acceleration), scene)
+        print(name, json.dumps(scene.row()), flush=True)
+    return scenes
+
+
+def main() -> None:
+    """Print one row for each scene, and write all as JSON."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--robot", choices=("ur5", "panda"), action="append")
+    parser.add_argument("--every", type=int, default=25)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--limit-s", type=float, default=1e9)
+    parser.add_argument("--output", type=Path)
+    options = parser.parse_args()
+    rows = {}
+    for robot in options.robot or ("ur5", "panda"):
+        until = time.monotonic() + options.limit_s
+        for name, scene in run(options.data / robot, options.every, options.seed, until).items():
+            rows[name] = scene.row()
+            if options.output is not None:
+                options.output.write_text(json.dumps(rows, indent=1), encoding="utf-8")
+    print(json.dumps(rows, indent=1))
+
+
+if __name__ == "__main__":
+    run_program(main, "studies.foreign_scenes")
