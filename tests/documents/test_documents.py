@@ -12,8 +12,9 @@ from typing import Any
 import pytest
 import typer
 from packaging.specifiers import SpecifierSet
+from typer.testing import CliRunner
 
-from deltaq_deploy.command.app import app
+from deltaq_deploy.command.app import RENAMED, app
 from reference_pages import FOLDER, PAGES, page
 
 ROOT = Path(__file__).parents[2]
@@ -98,8 +99,12 @@ def test_a_help_ends_with_two_commands_that_are_understood(name: str, command: A
         understand(shlex.split(typed))
 
 
-def test_there_are_at_most_27_verbs() -> None:
+def test_there_are_at_most_27_verbs_and_the_former_ones_name_the_present() -> None:
     assert len(COMMAND.commands) <= 27
+    for former, present in RENAMED.items():
+        told = CliRunner().invoke(app, [former, "--json"])
+        assert (told.exit_code, told.stderr) == (2, f"deltaq: `deltaq {former}` is now `deltaq {present}`\n")
+        assert present.split()[0] in COMMAND.commands
 
 
 @pytest.mark.long

@@ -28,10 +28,28 @@ from deltaq_deploy.command import (
     watch,
 )
 from deltaq_deploy.command.krc_lag import lag
+from deltaq_deploy.launch.exit_status import USAGE
+
+RENAMED = {
+    "top": "status --watch",
+    "health": "status --service",
+    "echo": "topic echo",
+    "hz": "topic hz",
+    "record": "recording record",
+    "replay": "recording replay",
+    "plot": "recording plot",
+    "report": "recording report",
+    "follow": "camera follow",
+    "view": "camera view",
+    "key": "keys --secret",
+    "soak": "bench soak",
+    "peg-and-valve": "experiment peg-and-valve",
+}
+"""Verbs that there were, and the present ones."""
 
 
 class Verbs(TyperGroup):
-    """typer's group. It also names the value that an option was refused."""
+    """typer's group. It also answers verbs that were renamed, and names the value that an option was refused."""
 
     def invoke(self, ctx: Any) -> Any:  # typer keeps the class of its contexts to itself
         """Run a verb.
@@ -48,6 +66,17 @@ class Verbs(TyperGroup):
                 first, *_ = error.__cause__.errors()
                 error.message = f"{error.message}, got {first['input']!r}"
             raise
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the verb that is asked for.
+
+        Raises:
+            typer.Exit: it has another name now, which standard error shows.
+        """
+        if args and (present := RENAMED.get(args[0])) and args[0] not in self.commands:
+            typer.echo(f"deltaq: `deltaq {args[0]}` is now `deltaq {present}`", err=True)
+            raise typer.Exit(USAGE)
+        return super().resolve_command(ctx, args)
 
 
 class Verb(NamedTuple):
