@@ -19,6 +19,8 @@ from deltaq_protocol.reasons import ReasonCode
 
 HELD = "fr is held: controller_lost; when it is safe, `deltaq reset --robot fr`"
 EXAMPLES = Path(__file__).parents[2] / "examples"
+CLIENTS = sorted(path.name for path in EXAMPLES.glob("*.py") if not path.name.startswith("gate_"))
+"""The others need no HLI; `tests/protocol/test_gate_alone.py` runs them."""
 
 
 @pytest.fixture
@@ -51,7 +53,7 @@ def assert_it_turns_a1_by_ten_degrees_and_gives_the_lease_back(example: str, ser
 
 
 @pytest.mark.service
-@pytest.mark.parametrize("example", sorted(path.name for path in EXAMPLES.glob("*.py")))
+@pytest.mark.parametrize("example", CLIENTS)
 def test_the_example_turns_a1_by_ten_degrees_and_gives_the_lease_back(example: str, server: Server) -> None:
     assert_it_turns_a1_by_ten_degrees_and_gives_the_lease_back(example, server)
 
@@ -69,7 +71,7 @@ def drained(server: Server) -> Iterator[Request]:
 
 
 @pytest.mark.service
-@pytest.mark.parametrize("example", sorted(path.name for path in EXAMPLES.glob("*.py")))
+@pytest.mark.parametrize("example", CLIENTS)
 def test_the_example_ends_at_a_robot_that_is_held_and_says_why(example: str, server: Server) -> None:
     server.peer.phases["fr"], server.peer.reasons["fr"] = Phase.HELD, ReasonCode.CONTROLLER_LOST
     done = run(example, *arguments(example, server))
