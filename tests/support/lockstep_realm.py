@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import time
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,8 @@ from deltaq_services.sim.shell import Shell
 from deltaq_testing.private_cell import write_private_cell
 
 RECORDED = 4096
+_ARRIVES_S = 0.05
+"""Longest wait for the states of a cycle while links come up [s]."""
 
 
 class ServedRobot:
@@ -106,6 +109,9 @@ class LockstepRealm:
     def settle(self) -> None:
         """Cycle until the gate follows both robots and both may move.
 
+        Each cycle gives its states time to arrive: a link takes a fifth of a second to come up, and the gate does not
+        believe a robot that may move and was not heard for as many cycles as would pass meanwhile.
+
         Who may move already gets the gate's word in each cycle: were it left to the links' threads to be in time, a
         robot would stop for a gate that it did not hear.
         """
@@ -113,6 +119,11 @@ class LockstepRealm:
             self.turn()
             moving = [robot for robot in self.robots.values() if robot.state.phase in MAY_MOVE]
             self.pump_until(lambda moving=moving: all(self.has_mail(robot) for robot in moving))
+            end_s = time.monotonic() + _ARRIVES_S
+            self.pump_until(lambda end_s=end_s: self.gate_sees_all() or time.monotonic() > end_s)
+
+    def gate_sees_all(self) -> bool:
+        return all(self.sees(robot) for robot in self.robots.values())
 
     def ready(self, robot: ServedRobot) -> bool:
         state = self.sim.robots[robot.name].tracker.state
@@ -135,7 +146,7 @@ class LockstepRealm:
         """
         for robot in self.robots.values():
             robot.cycle()
-        self.pump_until(lambda: all(self.sees(robot) for robot in self.robots.values()))
+        self.pump_until(self.gate_sees_all)
         if attack is not None:
             attack()
         for robot in self.robots.values():
@@ -193,7 +204,7 @@ class LockstepRealm:
 
     def settle_held(self) -> None:
         """Cycle until the gate has heard every robot."""
-        while not all(self.sees(robot) for robot in self.robots.values()):
+        while not self.gate_sees_all():
             self.turn()
 
     def command(self, **fields: Any) -> None:
