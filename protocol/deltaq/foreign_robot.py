@@ -60,6 +60,8 @@ def described(
         GateError: a limit is missing or cannot be, or a file cannot be read.
         RobotModelError: the URDF cannot be read.
     """
+    for name, place in locked.items():
+        numbers(f"locked.{name}", [place], 1, "give where the joint is, in rad or m")
     source = load_urdf(str(urdf))
     model = parse_model(source, locked)
     beside = None if srdf is None else Path(srdf).with_name("joint_limits.yaml")
@@ -117,11 +119,12 @@ def _limits(
         raise GateError(f"{name}.velocity", speed[0], "must be above 0 and finite", remedy)
     acceleration = speed[0] / RAMP_S, f"velocity / {RAMP_S:g} s, since no file gives one"
     text = None if told is None else told.get("acceleration")
+    remedy = "give one above 0 in the URDF or in joint_limits.yaml"
     if given.get("has_acceleration_limits", True) and "max_acceleration" in given:
         acceleration = float(given["max_acceleration"]), "joint_limits.yaml"
     elif text is not None:
-        acceleration = float(text), "URDF"
-    positive(f"{name}.acceleration", acceleration[0], 1e6, "give a greater one in joint_limits.yaml")
+        acceleration = float(numbers(f"{name}.acceleration", [text], 1, remedy, 1e6)[0]), "URDF"
+    positive(f"{name}.acceleration", acceleration[0], 1e6, remedy)
     return JointLimits((lower, where), (upper, where), speed, acceleration)
 
 
@@ -165,8 +168,9 @@ def _joint_limits(path: str | Path) -> dict[str, dict[str, Any]]:
         found = yaml.safe_load(Path(path).read_text(encoding="utf-8"))["joint_limits"]
         for name, limits in found.items():
             for key, value in limits.items():
-                if not isinstance(value, bool):
-                    numbers(f"joint_limits.{name}.{key}", [value], 1, "give a number", 1e6)
+                if not key.startswith("has_"):
+                    number = "a truth value" if isinstance(value, bool) else value
+                    numbers(f"joint_limits.{name}.{key}", [number], 1, "give a number", 1e6)
     except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
         text = f"{path}: {type(error).__name__}"
         raise GateError("joint_limits", text, "must be a file with joint_limits", remedy) from None

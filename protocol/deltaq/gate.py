@@ -119,6 +119,9 @@ class Gate:
         q: Mapping[str, ArrayLike] | None = None,
         sources: Mapping[str, str] | None = None,
     ) -> None:
+        if obstacles is not None and not isinstance(obstacles, Mapping):
+            kind = type(obstacles).__name__
+            raise GateError("obstacles", kind, "must be a dict of bodies by name", "name each")
         gate = cell.description.gate.model_copy(update={"lookahead_cycles": 1})
         description = cell.description.model_copy(update={"gate": gate})
         self._bare = CellModel(description, cell.robots, cell.structure, cell.yaml)
@@ -349,7 +352,7 @@ class Gate:
             if not isinstance(obstacle, Obstacle):
                 kind = type(obstacle).__name__
                 raise GateError(where, kind, "must be a Box, Sphere, Cylinder, Capsule or Mesh", "give one")
-            if not _NAME.fullmatch(name) or name in self._bare.description.structure:
+            if not _NAME.fullmatch(str(name)) or name in self._bare.description.structure:
                 bound = "a name must be of a-z, 0-9, _ and -, and not the structure's"
                 raise GateError("obstacles", name, bound, "rename it")
             obstacle.judge(where)
@@ -450,10 +453,11 @@ class Gate:
         if time_s is None:
             self._time_s = None
             return 0
+        remedy = "give times that grow, such as time.monotonic(), and reset after a longer pause"
+        time_s = float(numbers("time_s", [time_s], 1, remedy, math.inf)[0])
         before = 0.0 if self._time_s is None else self._time_s
         most = math.inf if self._time_s is None else _SPAN_S
-        remedy = "give times that grow, such as time.monotonic(), and reset after a longer pause"
-        if not math.isfinite(time_s) or not 0.0 <= time_s - before <= most:
+        if not 0.0 <= time_s - before <= most:
             raise GateError("time_s", time_s, f"must be within {most:g} s after {before:g}", remedy)
         passed = 1 if self._time_s is None else round((time_s - before) / self.cell.description.cycle_s)
         self._time_s = time_s

@@ -8,6 +8,7 @@ Mesh("shelf.stl", at=(0.6, 0, 0), rpy=(0, 0, 1.57))
 from __future__ import annotations
 
 import hashlib
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -50,11 +51,14 @@ def numbers(name: str, value: ArrayLike, count: int, remedy: str, most: float = 
     try:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
-        raise GateError(name, value, f"must be {count} numbers", remedy) from None
+        wanted = "a number" if count == 1 else f"{count} numbers"
+        raise GateError(name, value, f"must be {wanted}", remedy) from None
     if array.shape != (count,):
         raise GateError(name, f"shape {array.shape}", f"must have shape ({count},)", remedy)
     if not np.isfinite(array).all() or np.abs(array).max(initial=0.0) > most:
-        raise GateError(name, value, f"must be finite and at most {most:g}", remedy)
+        raise GateError(
+            name, value, "must be finite" + ("" if np.isinf(most) else f" and at most {most:g}"), remedy
+        )
     return array
 
 
@@ -71,7 +75,7 @@ def positive(name: str, value: float, most: float, remedy: str) -> float:
 
 
 @dataclass(frozen=True)
-class Obstacle:
+class Obstacle(ABC):
     """A body that stands in the world.
 
     Attributes:
@@ -89,9 +93,9 @@ class Obstacle:
         for size, value in self._sizes().items():
             positive(f"{name}.{size}", value, MOST_M, "give its size in m")
 
+    @abstractmethod
     def shape(self) -> dict[str, Any]:
         """The shape as a cell's file describes it; empty for a mesh."""
-        raise NotImplementedError
 
     def _sizes(self) -> dict[str, float]:
         return {key: value for key, value in self.shape().items() if key != "kind"}

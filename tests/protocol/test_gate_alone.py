@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from deltaq import Box, Capsule, Cylinder, Gate, GateError, Mesh, Sphere
+from deltaq.obstacles import Obstacle
 from deltaq_cell.models import RobotModelError, load_urdf
 from deltaq_cell.never_checked import distances
 from deltaq_protocol.messages import Outcome
@@ -66,7 +67,8 @@ SEVEN = [0.0] * 7
         (lambda gate: gate.step("fast"), "dq", "7 numbers"),
         (lambda gate: gate.step({"leg": SEVEN}), "robot", "one of arm"),
         (lambda gate: gate.step(SEVEN, time_s=-0.1), "time_s", "after 0"),
-        (lambda gate: gate.step(SEVEN, time_s=math.nan), "time_s", "after 0"),
+        (lambda gate: gate.step(SEVEN, time_s=math.nan), "time_s", "finite"),
+        (lambda gate: gate.step(SEVEN, time_s="now"), "time_s", "a number"),
         (lambda gate: gate.would_admit([9.0, *READY[1:]], SEVEN), "q_cmd", "panda_joint1 .* limits"),
         (lambda gate: gate.would_admit(READY, [0.0]), "dq", r"shape \(7,\)"),
         (lambda gate: gate.observe([0.0] * 8), "q", r"shape \(7,\)"),
@@ -74,6 +76,7 @@ SEVEN = [0.0] * 7
         (lambda gate: gate.reset([9.0, *READY[1:]]), "q", "panda_joint1 .* limits"),
         (lambda gate: gate.remove("chair"), "name", "one of table"),
         (lambda gate: gate.place("Chair", TABLE), "obstacles", "a-z"),
+        (lambda gate: gate.place(5, TABLE), "obstacles", "a-z"),
         (lambda gate: gate.place("chair", "a chair"), "obstacles.chair", "Box, Sphere"),
         (lambda gate: gate.place("chair", Box((1, 1))), "obstacles.chair.size_m", r"shape \(3,\)"),
         (lambda gate: gate.place("chair", Box((1, 1, -1))), r"obstacles.chair.size_m\[2\]", "above 0"),
@@ -114,6 +117,8 @@ def test_bad_input_is_refused_and_changes_nothing(gate, act, field, bound):
         ({"srdf": "missing.srdf"}, "srdf"),
         ({"obstacles": {"box": Box((3, 3, 3))}}, "q"),
         ({"self_stop_distance_m": 0.5}, "self_stop_distance_m"),
+        ({"obstacles": [TABLE]}, "obstacles"),
+        ({"locked": {"panda_finger_joint1": "open"}}, "locked.panda_finger_joint1"),
     ],
 )
 def test_a_gate_that_cannot_be_is_refused(options, field):
@@ -128,6 +133,11 @@ def test_a_gate_that_cannot_be_is_refused(options, field):
         ('velocity="1"', 'velocity="0"', "elbow.velocity: must be above 0"),
         ('size="0.5 0.1 0.1"', 'size="500 100 100"', "is 500 m long"),
         ('velocity="1"', 'velocity="1" acceleration="-3"', "elbow.acceleration: must be above 0"),
+        (
+            'velocity="1"',
+            'velocity="1" acceleration="fast"',
+            "elbow.acceleration: must be a number, got .*fast",
+        ),
     ],
 )
 def test_a_urdf_without_limits_or_in_other_units_is_refused(tmp_path, old, new, message):
@@ -135,6 +145,18 @@ def test_a_urdf_without_limits_or_in_other_units_is_refused(tmp_path, old, new, 
     urdf.write_text(ONE.replace(old, new), encoding="utf-8")
     with pytest.raises((GateError, RobotModelError), match=message):
         Gate.from_urdf(urdf, 0.004)
+
+
+def test_a_truth_value_is_no_limit_and_an_obstacle_has_a_shape(tmp_path):
+    urdf, limits = tmp_path / "one.urdf", tmp_path / "joint_limits.yaml"
+    urdf.write_text(ONE, encoding="utf-8")
+    limits.write_text(
+        "joint_limits: {elbow: {has_velocity_limits: true, max_velocity: true}}", encoding="utf-8"
+    )
+    with pytest.raises(GateError, match=r"^joint_limits\.elbow\.max_velocity: must be a number"):
+        Gate.from_urdf(urdf, 0.004, joint_limits=limits)
+    with pytest.raises(TypeError, match="abstract"):
+        Obstacle()
 
 
 ONE = """<robot name="one"><link name="base"/>

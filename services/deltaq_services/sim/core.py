@@ -480,5 +480,5 @@ class Sim:
 
 
 def _out_of_date(request: Request, state: ServerState) -> Reason:
-    """Why a request that waited is out of date; None if it is not."""
+    """Why a request that waited is out of date."""
     return Reason(code=ReasonCode.STALE_CYCLE, what="cycle", value=request.cycle, bound=state.cycle - 1)
