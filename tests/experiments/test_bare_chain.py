@@ -21,8 +21,8 @@ def test_every_topic_that_is_passed_on_is_taken_by_somebody() -> None:
 
 @pytest.mark.service
 def test_states_come_back_as_admissions_and_each_process_costs_something(tmp_path: Path) -> None:
-    chain = measured(["fr"], 0.012, 1.0, tmp_path, time.sleep)
-    assert set(chain.processor_us) == {"robot-server-fr", "sim", "hli", "client-fr"}
+    chain = measured(["left-arm"], 0.012, 1.0, tmp_path, time.sleep)
+    assert set(chain.processor_us) == {"robot-server-left-arm", "sim", "hli", "client-left-arm"}
     assert all(us > 0.0 for us in chain.processor_us.values())
     assert all(count > 0.0 for count in chain.wakeups.values())
     assert 0.0 < chain.age_p50_ms <= chain.age_p99_ms

@@ -154,7 +154,8 @@ class _Process:
     """Passes messages on as `PASSES` has it, from threads that block."""
 
     def __init__(self, name: str, folder: Path) -> None:
-        kind, _, robot = name.rpartition("-") if name not in PASSES else (name, "", "*")
+        kind = next(kind for kind in PASSES if name.startswith(kind))
+        robot = name.removeprefix(kind).removeprefix("-") or "*"
         servers = sorted(path.name for path in folder.iterdir()) if folder.exists() else []
         servers = [server for server in servers if server.startswith("robot-server-")]
         self.robot = robot
