@@ -39,8 +39,13 @@ async def lease(cell: Cell, robot: str) -> Opening[LeasedRobot]:
     return cell.lease(robot, playout=is_far)
 
 
-class Behind:
-    """Catches up where every increment is decided on the state after that which it answers. Pure.
+_PATIENCE, _MOST_PATIENCE = 100, 10_000
+"""Late answers in a row before a state is left out, at first and at most (two minutes at 12 ms). Where
+it is in vain, it costs a cycle of the brake."""
+
+
+class CatchUp:
+    """Finds the state to leave without an answer, where each increment is decided one state late. Pure.
 
     One late increment makes all after it wait in the gate for the next state. If the controller leaves one state
     without an answer, the increment that waits has its place, and the next answer is decided at once. If that does not
@@ -48,7 +53,7 @@ class Behind:
     """
 
     def __init__(self) -> None:
-        self._behind, self._patience = 0, 100
+        self._behind, self._patience = 0, _PATIENCE
 
     def leaves_out(self, state: RobotState, before: Verdict | None) -> bool:
         """Whether to leave a state without an answer; `before` is the verdict on the increment before."""
@@ -58,10 +63,6 @@ class Behind:
             return False
         self._behind, self._patience = 0, min(2 * self._patience, _MOST_PATIENCE)
         return True
-
-
-_MOST_PATIENCE = 10_000
-"""Answers in a row, two minutes of them at 12 ms: a state that is left out in vain costs a cycle of the brake."""
 
 
 class Answers:
@@ -80,7 +81,7 @@ class Answers:
         self._awaited: Verdict | None = None
         self._before: Verdict | None = None
         self._come: list[Verdict | None] = []
-        self._behind = Behind()
+        self._catch_up = CatchUp()
 
     async def due(self, state: RobotState) -> Sequence[int]:
         """The cycles for which increments are to be sent now.
@@ -98,7 +99,7 @@ class Answers:
         self._reading.go_on()
         if is_awaited(state):
             self._before, self._awaited = self._awaited, None
-            return () if self._behind.leaves_out(state, self._before) else (state.cycle,)
+            return () if self._catch_up.leaves_out(state, self._before) else (state.cycle,)
         self._come += [v for v in await self._leased.new_verdicts() if self._in_flight.take(v)]
         return self._in_flight.cycles_to_answer(state)
 

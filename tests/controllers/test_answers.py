@@ -19,7 +19,7 @@ from told import told_state
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.advisor.process import AdvisorProcess
-from deltaq_controllers.answers import Behind, lease
+from deltaq_controllers.answers import CatchUp, lease
 from deltaq_controllers.interface import View
 from deltaq_controllers.live import ControlStatistics, drive
 from deltaq_controllers.modes.advisor import tracker_of
@@ -176,13 +176,13 @@ def verdict_on(cycle: int, setpoint_cycle: int | None) -> Verdict:
     return Verdict(robot="fr", cycle=cycle, seq=cycle, outcome=outcome, setpoint_cycle=setpoint_cycle)
 
 
-def left_out(behind: Behind, cycles: int, late: Callable[[int], bool]) -> list[int]:
+def left_out(catch_up: CatchUp, cycles: int, late: Callable[[int], bool]) -> list[int]:
     """The states that are left out of so many, if the increment that answers a state is `late` or not."""
     found, answered = [], None
     for cycle in range(1, cycles + 1):
         state = told_state(cycle, 0.0)
         verdict = None if answered is None else verdict_on(answered, answered + 1 + late(answered))
-        if behind.leaves_out(state, verdict):
+        if catch_up.leaves_out(state, verdict):
             found.append(cycle)
             answered = None
         else:
@@ -191,26 +191,26 @@ def left_out(behind: Behind, cycles: int, late: Callable[[int], bool]) -> list[i
 
 
 def test_a_controller_that_keeps_pace_answers_every_state_and_so_does_one_that_is_late_now_and_then() -> None:
-    assert left_out(Behind(), 2000, lambda cycle: False) == []
-    assert left_out(Behind(), 2000, lambda cycle: cycle % 99 > 0) == []
+    assert left_out(CatchUp(), 2000, lambda cycle: False) == []
+    assert left_out(CatchUp(), 2000, lambda cycle: cycle % 99 > 0) == []
 
 
 def test_one_that_stays_behind_leaves_out_one_state_and_where_it_helps_no_other() -> None:
-    behind = Behind()
-    (first,) = left_out(behind, 2000, lambda cycle: cycle < 102)
+    catch_up = CatchUp()
+    (first,) = left_out(catch_up, 2000, lambda cycle: cycle < 102)
     assert first == 101
 
 
 def test_where_leaving_out_is_in_vain_it_is_done_ever_more_seldom() -> None:
-    gaps = np.diff(left_out(Behind(), 100_000, lambda cycle: True))
+    gaps = np.diff(left_out(CatchUp(), 100_000, lambda cycle: True))
     assert gaps[:3].tolist() == [201, 401, 801]
     assert set(gaps[6:]) == {10_001}
 
 
 def test_a_verdict_that_refuses_or_never_came_is_not_late() -> None:
-    behind = Behind()
+    catch_up = CatchUp()
     refused = verdict_on(1, None)
-    assert not any(behind.leaves_out(told_state(1, 0.0), verdict) for verdict in [refused, None] * 1000)
+    assert not any(catch_up.leaves_out(told_state(1, 0.0), verdict) for verdict in [refused, None] * 1000)
 
 
 # The advisor's own process: asked, given up, asked again, and gone.
