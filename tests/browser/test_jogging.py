@@ -17,8 +17,8 @@ def test_while_a_hand_is_jogged_the_axes_that_it_is_jogged_along_are_drawn_at_it
     assert page.evaluate(AXES) == [False]
     # pressed anew where the picture was old for a moment
     page.evaluate("setInterval(() => deltaq.wish.isActive || deltaq.wish.hold('test', {0: 0.1}), 20)")
-    page.wait_for_function("deltaq.axes[0].visible")
-    (drawn,) = page.evaluate(AXES)
+    # read while they are visible: the next picture may come late, and then the hand is let go
+    drawn = page.wait_for_function(f"deltaq.axes[0].visible && ({AXES})[0]").json_value()
     hand = page.evaluate("Array.from(deltaq.views.find(({name}) => name === 'gr').toolPose(0))")
     expected = hand if frame == "tool" else [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, *hand[12:]]
     assert drawn == pytest.approx(expected, abs=1e-3)
