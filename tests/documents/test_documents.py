@@ -102,8 +102,11 @@ def test_a_help_ends_with_two_commands_that_are_understood(name: str, command: A
 def test_there_are_at_most_27_verbs_and_the_former_ones_name_the_present() -> None:
     assert len(COMMAND.commands) <= 27
     for former, present in RENAMED.items():
-        told = CliRunner().invoke(app, [former, "--json"])
-        assert (told.exit_code, told.stderr) == (2, f"deltaq: `deltaq {former}` is now `deltaq {present}`\n")
+        typed = CliRunner().invoke(app, [*former.split(), "--json"])
+        assert (typed.exit_code, typed.stderr) == (
+            2,
+            f"deltaq: `deltaq {former}` is now `deltaq {present}`\n",
+        )
         assert present.split()[0] in COMMAND.commands
 
 

@@ -71,7 +71,7 @@ def _usages(prefix: str, command: Any) -> Iterator[tuple[str, str]]:
     """Usage and first paragraph of each verb; typer has click's classes of its own, so none is named here."""
     for name, child in getattr(command, "commands", {}).items():
         yield from _usages(f"{prefix} {name}", child)
-    if not hasattr(command, "commands"):
+    if not hasattr(command, "commands") or getattr(command, "invoke_without_command", False):
         arguments = [one for one in command.params if one.param_type_name == "argument"]
         named = [one.name.upper() if one.required else f"[{one.name.upper()}]" for one in arguments]
         options = [one.opts[0] for one in command.params if one not in arguments]

@@ -44,12 +44,13 @@ RENAMED = {
     "key": "keys --secret",
     "soak": "bench soak",
     "peg-and-valve": "experiment peg-and-valve",
+    "bench advisor": "advise --offline",
 }
-"""Verbs that there were, and the present ones."""
+"""Former verbs, and the present ones."""
 
 
 class Verbs(TyperGroup):
-    """typer's group. It also answers verbs that were renamed, and names the value that an option was refused."""
+    """typer's group. It also names the new verb for a former one, and an option's invalid value."""
 
     def invoke(self, ctx: Any) -> Any:  # typer keeps the class of its contexts to itself
         """Run a verb.
@@ -68,13 +69,14 @@ class Verbs(TyperGroup):
             raise
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find the verb that is asked for.
+        """Find the requested verb.
 
         Raises:
-            typer.Exit: it has another name now, which standard error shows.
+            typer.Exit: the verb has another name now; standard error shows it.
         """
-        if args and (present := RENAMED.get(args[0])) and args[0] not in self.commands:
-            typer.echo(f"deltaq: `deltaq {args[0]}` is now `deltaq {present}`", err=True)
+        asked = " ".join(([] if ctx.parent is None else [ctx.info_name]) + args[:1])
+        if args and args[0] not in self.commands and (present := RENAMED.get(asked)):
+            typer.echo(f"deltaq: `deltaq {asked}` is now `deltaq {present}`", err=True)
             raise typer.Exit(USAGE)
         return super().resolve_command(ctx, args)
 
@@ -339,12 +341,11 @@ def _common(
 
 
 def _group(**options: Any) -> typer.Typer:
-    return typer.Typer(pretty_exceptions_enable=False, rich_markup_mode="rich", **options)
+    return typer.Typer(cls=Verbs, pretty_exceptions_enable=False, rich_markup_mode="rich", **options)
 
 
 def _command() -> typer.Typer:
     command = _group(
-        cls=Verbs,
         help="A networked control server for industrial manipulators: any controller, one safety gate.",
         epilog=_epilog("deltaq demo", "deltaq status --watch"),
         no_args_is_help=True,
