@@ -86,7 +86,7 @@ def test_a_name_is_asked_for_once_and_kept_in_the_browser(alone):
 
 def test_the_page_shows_the_cell_under_its_own_policy_which_lets_no_text_be_run(alone):
     page = alone(bypass_csp=False)
-    assert page.evaluate("document.fonts.check('14px Roboto')")
+    assert page.evaluate("document.fonts.load('14px Roboto').then(({length}) => length)")
     refused = """new Promise((told) => {
         addEventListener('securitypolicyviolation', ({effectiveDirective}) => told(effectiveDirective));
         document.body.append(Object.assign(document.createElement('script'), {textContent: 'window.ran = true'}));

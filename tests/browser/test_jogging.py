@@ -15,9 +15,7 @@ def test_while_a_hand_is_jogged_the_axes_that_it_is_jogged_along_are_drawn_at_it
     page = alone()
     page.evaluate("status => line.show(status)", status(gr=mine(mode="coupled", frame=frame)))
     assert page.evaluate(AXES) == [False]
-    # pressed anew where the picture was old for a moment
-    page.evaluate("setInterval(() => deltaq.wish.isActive || deltaq.wish.hold('test', {0: 0.1}), 20)")
-    # read while they are visible: the next picture may come late, and then the hand is let go
+    assert page.evaluate("deltaq.wish.hold('test', {0: 0.1})")
     drawn = page.wait_for_function(f"deltaq.axes[0].visible && ({AXES})[0]").json_value()
     hand = page.evaluate("Array.from(deltaq.views.find(({name}) => name === 'gr').toolPose(0))")
     expected = hand if frame == "tool" else [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, *hand[12:]]
@@ -53,8 +51,12 @@ def test_until_the_cell_is_drawn_the_page_says_that_it_is_loading(alone):
 
 
 PRESS_TWICE = """name => {
+    const show = () => deltaq.driven.dispatchEvent(new Event("change"));
+    show();
     const button = [...document.querySelectorAll(".jog button")].find(({ariaLabel}) => ariaLabel === name);
     for (const _ of [1, 2]) button.dispatchEvent(new KeyboardEvent("keydown", {key: "Enter"}));
+    show();
+    return document.querySelector(".jog .why").textContent;
 }"""
 SENT = "kind => line.sent.filter(({type}) => type === kind)"
 
@@ -72,9 +74,7 @@ def test_in_steps_one_press_moves_once_by_one_degree_or_five_millimetres(alone, 
     page = alone()
     page.evaluate("status => line.show(status)", status(gr=mine(mode=mode)))
     page.locator("[data-steps=true]").click()
-    while not page.evaluate(SENT, "jog"):  # pressed anew where the picture was old for a moment
-        page.evaluate(PRESS_TWICE, button)
-    page.wait_for_function("document.querySelector('.jog .why').textContent.includes('one at a time')")
+    assert "one at a time" in page.evaluate(PRESS_TWICE, button)
     (jog,) = page.evaluate(SENT, "jog")
     moved = [rate * jog["cycles"] * page.evaluate("deltaq.scene.cycle_s") for rate in jog["wish"]]
     assert moved == pytest.approx([size if k == index else 0.0 for k in range(len(moved))])
@@ -94,9 +94,11 @@ def test_joints_home_and_saved_positions_are_asked_for_and_nothing_moves(alone):
     page.get_by_label("Name of this position").fill("above the tank")
     page.get_by_role("button", name="Save", exact=True).click()
     place = page.get_by_label("Go to a saved position")
-    for name in ("home", "above the tank"):
+    for count, name in enumerate(("home", "above the tank"), start=2):
         place.select_option(name)
-        page.wait_for_function("line.sent.filter(({type}) => type === 'reach_joints').length")
+        page.wait_for_function(
+            "count => line.sent.filter(({type}) => type === 'reach_joints').length === count", arg=count
+        )
         assert page.evaluate(SENT, "reach_joints")[-1]["q"] == pytest.approx(home, abs=1e-5)
     angle = page.get_by_label("C of the hand in °")
     angle.fill("170")

@@ -8,8 +8,8 @@ pytestmark = [pytest.mark.browser, pytest.mark.live, pytest.mark.timeout(300)]
 
 Q = "Array.from(deltaq.live.frame.robots[deltaq.live.indexOf('gr')].q)"
 AT_REST = (
-    "(() => { const {q, rest} = deltaq.live.frame.robots[deltaq.live.indexOf('gr')];"
-    " return q.every((value, k) => Math.abs(value - rest[k]) < 1e-4); })()"
+    "(() => { const {q, rest} = deltaq.live.frame?.robots[deltaq.live.indexOf('gr')] ?? {};"
+    " return q?.every((value, k) => Math.abs(value - rest[k]) < 1e-4); })()"
 )
 
 

@@ -63,8 +63,7 @@ def test_the_picture_is_handed_to_the_camera_that_sees_unless_one_was_chosen(
             page.get_by_label("Camera", exact=True).select_option("auto")
             assert page.evaluate(shown) == "fr"
             cell.view("fr", targets=[UNDER_THE_DECK])
-            page.wait_for_function(f"{shown} === 'aide'")
-            assert page.evaluate("deltaq.live.robot('fr').sight") == "view_hidden"
+            page.wait_for_function(f"{shown} === 'aide' && deltaq.live.robot('fr').sight === 'view_hidden'")
             assert page.get_by_label("Camera", exact=True).input_value() == "auto"
             page.get_by_label("Camera", exact=True).select_option("fr")
             assert page.evaluate(shown) == "fr"

@@ -229,7 +229,7 @@ def advisor(**weights: float) -> AdvisorProcess:
 
 def wait_for(advisor: AdvisorProcess, reached: Callable[[], bool]) -> None:
     """Until what the process has said makes it so; each wait ends with a word of it."""
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 300
     while not reached():
         assert advisor._line.poll(max(0.0, deadline - time.monotonic())), "the process says nothing"
 

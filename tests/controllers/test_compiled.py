@@ -78,7 +78,7 @@ def run(program: str, **environment: str) -> str:
         check=True,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=300,
     ).stdout
 
 

@@ -6,9 +6,6 @@ The library is pink 4.4.0 with quadprog 0.1.14: a task for each hand (cost 1 per
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from itertools import pairwise
 
 import numpy as np
@@ -203,21 +200,3 @@ def test_a_drive_that_keeps_clear_ends_where_bodies_come_near_and_says_so() -> N
     ways = [judged(robot, {"left.y": -0.2}, way, 4.0).reached for way in (freely, clear)]
     assert ways[1] < ways[0] - 0.02
     assert "come no nearer" in limited
-
-
-@pytest.mark.nightly
-def test_one_command_prints_directions_and_the_cost_of_a_step() -> None:
-    done = subprocess.run(
-        [
-            *(sys.executable, "-m", "studies.directions", "--cell", "lab", "--robot", "fr"),
-            *("--mode", "decoupled", "--duration-s", "0.3", "--json"),
-        ],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    told = json.loads(done.stdout)
-    assert [one["axis"] for one in told["directions"]][:2] == ["+x", "-x"]
-    assert len(told["directions"]) == 12
-    assert told["keeps_clear"] is False
-    assert 0.0 < told["steps"]["p50_ms"] <= told["steps"]["p99_ms"]

@@ -32,7 +32,6 @@ from deltaq_experiments.peg_and_valve_operators import (
 )
 from deltaq_experiments.peg_and_valve_summary import CONCLUSIONS, by_mode, distributions
 from deltaq_protocol.driving import HAND_AXES, DrivingMode, OperatorCommand
-from studies.peg_and_valve_page import PAGE, main, page
 
 CYCLE_S = 0.012
 STICK = dict.fromkeys(HAND_AXES, 0.1)
@@ -190,19 +189,6 @@ def test_a_conclusion_is_supported_or_not_by_the_seeds_that_all_modes_have() -> 
         ]
         assert efficient.verdict(by_mode(runs)) == said
     assert "not measured here" in {one.verdict({}) for one in CONCLUSIONS}
-
-
-def test_the_page_says_what_was_not_done_and_that_there_were_few_runs(tmp_path) -> None:
-    runs = [figures("joint", 3, undone="'insert' is not done after 600 s"), figures("coupled", 3)]
-    told = page(runs)
-    assert "| `joint` | 1, 0 | 10 [10, 10]; 10 (3) |" in told
-    assert "`joint`, seed 3: 'insert' is not done after 600 s." in told
-    assert "there was no time for more" in told
-    for one in (figures(mode, 0) for mode in OPERATORS):
-        (tmp_path / f"{one.mode}-seed-0.json").write_text(one.model_dump_json())
-    (tmp_path / PAGE.parent).mkdir(parents=True)
-    assert main(["--root", str(tmp_path), "--reports", str(tmp_path), "--seeds", "1"]) == 0
-    assert "| `advisor` | 1, 1 |" in (tmp_path / PAGE).read_text()
 
 
 @pytest.mark.nightly

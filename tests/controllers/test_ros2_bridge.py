@@ -35,7 +35,7 @@ from deltaq_protocol.errors import ServiceUnreachableError
 DELTAQ = str(Path(sys.executable).with_name("deltaq"))
 JOINTS = ("a1", "a2", "a3", "a4", "a5", "a6")
 STATES, COMMANDS = "/small/fr/joint_states", "/small/fr/joint_trajectory"
-WAITS_S = 60.0
+WAITS_S = 300.0
 DOMAIN = 7
 
 

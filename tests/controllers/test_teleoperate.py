@@ -41,7 +41,7 @@ async def drive(
 ) -> list[np.ndarray]:
     places: list[np.ndarray] = []
     statistics, enough = ControlStatistics(), asyncio.Event()
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(300):
         await teleoperate(cell, teleoperator, operator, statistics, places.append, enough, signals)
     return places
 

@@ -35,7 +35,7 @@ REGISTRIES = re.compile(r"\b(pypi|pythonhosted|npmjs|unpkg|ghcr|docker|quay)\.(o
 
 def build(kind: str, source: Path, folder: Path) -> Path:
     command = [sys.executable, "-m", "hatchling", "build", "-t", kind, "-d", str(folder)]
-    subprocess.run(command, cwd=source, check=True, capture_output=True, timeout=120)
+    subprocess.run(command, cwd=source, check=True, capture_output=True, timeout=300)
     (made,) = folder.iterdir()
     return made
 

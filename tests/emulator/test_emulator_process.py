@@ -24,7 +24,7 @@ from deltaq_testing.private_cell import free_ports, write_private_cell
 
 pytestmark = pytest.mark.service
 
-PATIENCE_S = 30.0
+PATIENCE_S = 300.0
 PEER = Path(__file__).parents[1] / "support" / "rsipi_peer.py"
 GIVEN_PORTS = (28152, 28153)
 """All that the system may give, and the first is the panel's: a link made before it would take it every second time."""
@@ -115,7 +115,8 @@ def silent(sock: socket.socket) -> bool:
 def test_telegrams_go_out_at_the_fixed_rate_with_or_without_replies(tmp_path: Path, replies: str) -> None:
     with running(write_private_cell(tmp_path, "lab-4ms"), "fr") as emulated, pc(emulated) as sock:
         first = sock.recvfrom(4096)[0]
-        before, before_s = emulated.ask(op="status"), time.monotonic()
+        begin_s = time.monotonic()
+        before, began_s = emulated.ask(op="status"), time.monotonic()
         ipocs = []
         for _ in range(150):
             datagram, krc = sock.recvfrom(4096)
@@ -123,11 +124,13 @@ def test_telegrams_go_out_at_the_fixed_rate_with_or_without_replies(tmp_path: Pa
             if replies == "garbage":
                 for _ in range(5):
                     sock.sendto(b"<Sen", krc)
-        after, after_s = emulated.ask(op="status"), time.monotonic()
+        end_s = time.monotonic()
+        after, ended_s = emulated.ask(op="status"), time.monotonic()
         # cycles that the machine held up are told, and only those may be missing
         passed = after["cycle"] - before["cycle"]
         slipped = after["counters"]["slipped"] - before["counters"]["slipped"]
-        assert passed + slipped == pytest.approx((after_s - before_s) / 0.004, abs=10)
+        # each status is of a moment between its question and its answer, however far apart a busy machine puts them
+        assert (end_s - began_s) / 0.004 - 10 < passed + slipped < (ended_s - begin_s) / 0.004 + 10
         assert set(np.diff([emulated.codec.decode(first).ipoc, *ipocs])) == {4}
         assert after["state"] == "RSI running"
         assert (after["counters"]["garbled"] > 0) == (replies == "garbage")
@@ -316,7 +319,7 @@ def test_rsipi_a_client_by_others_moves_the_robot_with_a_configuration_of_its_ow
     cell.write_text(yaml.safe_dump(described))
     with running(cell, "fr") as emulated:
         peer = subprocess.run(
-            [sys.executable, str(PEER), str(ours)], capture_output=True, text=True, timeout=90, check=False
+            [sys.executable, str(PEER), str(ours)], capture_output=True, text=True, timeout=300, check=False
         )
         assert peer.returncode == 0, peer.stderr
         seen = json.loads(peer.stdout.splitlines()[-1])

@@ -428,7 +428,7 @@ def test_the_example_of_ones_own_controller_follows_and_is_short() -> None:
     example = Path(__file__).parents[2] / "examples" / "camera" / "own_controller.py"
     assert len(example.read_text(encoding="utf-8").splitlines()) < 60
     run = subprocess.run(
-        [sys.executable, str(example)], capture_output=True, text=True, timeout=120, check=False
+        [sys.executable, str(example)], capture_output=True, text=True, timeout=300, check=False
     )
     assert run.returncode == 0, run.stderr
     found = re.search(r"largest ([0-9.]+) deg", run.stdout)

@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 from far_bounds import BOUNDS, FarBound, module_and_options
 
-from deltaq_protocol.messages import Increment, StopRequest
 from deltaq_testing.virtual_cell.cell import VirtualCell
 from studies.two_sites import __main__ as two_sites
 from studies.two_sites.far_controller import FarWire
@@ -102,61 +101,3 @@ def test_controllers_that_are_cut_off_for_two_seconds_lose_their_robots_at_rest_
     moved = [before != after for before, after in pairwise(setpoints)]
     assert all(moved[CUT_CYCLES // 2 : CUT_CYCLES])
     assert not any(moved[2 * CUT_CYCLES :])
-
-
-def test_a_wire_keeps_the_order_and_a_loss_holds_up_what_is_behind_it() -> None:
-    wire = FarWire(datagrams=True, delay_s=0.04, jitter_s=0.01, loss_share=0.1, spacing_s=0.006, seed=1)
-    sent = [StopRequest(client=f"c{number}") for number in range(200)]
-    arrived: list[tuple[float, str | None]] = []
-    for number, message in enumerate(sent):
-        wire.send(0.006 * number, message)
-    for step in range(3000):
-        for taken in wire.take(0.001 * step):
-            assert isinstance(taken, StopRequest)
-            arrived.append((0.001 * step, taken.client))
-    assert [client for _, client in arrived] == [message.client for message in sent]
-    late_s = [time_s - 0.006 * number for number, (time_s, _) in enumerate(arrived)]
-    assert wire.lost > 5
-    assert 0.03 <= min(late_s) < 0.05
-    assert max(late_s) > 0.04 + 0.08
-
-
-def test_a_lost_datagram_holds_nothing_up_and_does_not_come_again() -> None:
-    wire = FarWire(datagrams=True, delay_s=0.04, jitter_s=0.01, loss_share=0.1, spacing_s=0.006, seed=1)
-    arrived: list[tuple[float, int]] = []
-    for number in range(200):
-        wire.send(0.006 * number, Increment(robot="fr", seq=number, cycle=number, dq=(0.0,)))
-    for step in range(3000):
-        for taken in wire.take(0.001 * step):
-            assert isinstance(taken, Increment)
-            arrived.append((0.001 * step, taken.seq))
-    assert [seq for _, seq in arrived] == sorted(seq for _, seq in arrived)
-    assert 5 < wire.lost == 200 - len(arrived)
-    assert max(time_s - 0.006 * seq for time_s, seq in arrived) < 0.0525
-
-
-def test_a_jitter_beyond_the_delay_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        two_sites.main(["--delay-s", "0.001", "--jitter-s", "0.01"])
-    assert ended.value.code == 2
-    assert "arrives before it was sent" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        ["--duration-s", "1"],
-        ["--settle-s", "-1"],
-        ["--loss-share", "1"],
-        ["--leader-speed-m-s", "0"],
-        ["--jitter-s", "-0.1"],
-    ],
-    ids=" ".join,
-)
-def test_an_impossible_follower_is_reported_before_any_start(
-    wrong: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as ended:
-        two_sites.main([*FAST, *wrong])
-    assert ended.value.code == 2
-    assert wrong[0] in capsys.readouterr().err

@@ -18,7 +18,6 @@ from deltaq_experiments.scene import camera_controller, scene_of
 from deltaq_experiments.training import ENVIRONMENT
 from deltaq_experiments.training.environment import CameraEnvironment, CameraTask, ViewErrors
 from deltaq_protocol.errors import DeltaqError
-from studies import training_speed as speed
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "how-to" / "train-a-policy.md"
@@ -160,22 +159,6 @@ def test_gymnasiums_vector_of_environments_has_verdicts_of_each() -> None:
     assert reward.shape == (2,)
     assert list(info["verdict"]["outcome"]) == ["admitted", "admitted"]
     envs.close()
-
-
-@pytest.mark.long
-def test_the_bare_cell_of_the_speed_command_repeats_the_same_motion() -> None:
-    elapsed_s, setpoints = speed.one_environment(20, seed=1)
-    bare_s, last = speed.bare_cell(setpoints)
-    assert min(elapsed_s, bare_s) > 0.0
-    for name, rows in setpoints.items():
-        np.testing.assert_array_equal(last[name], rows[-1])
-        assert not np.array_equal(rows[0], rows[-1])
-
-
-def test_the_speed_command_refuses_no_steps_at_all(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        speed.main(["--steps", "0"])
-    assert capsys.readouterr().err.splitlines()[-1].endswith("error: --steps 0: at least 1")
 
 
 @pytest.mark.nightly

@@ -16,7 +16,7 @@ from deltaq_protocol.messages import Phase
 
 pytestmark = pytest.mark.live
 
-TIMEOUT_S = 20.0
+TIMEOUT_S = 300.0
 SPEED = (0.0, 0.0, 0.0, 0.0, 0.0, 0.5)
 
 

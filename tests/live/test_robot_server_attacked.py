@@ -23,7 +23,7 @@ from deltaq_testing.private_cell import write_private_cell
 pytestmark = pytest.mark.service
 
 OFF = np.array([np.deg2rad(1.4), 0, 0, 0, 0, 0])
-PATIENCE_S = 30.0
+PATIENCE_S = 300.0
 
 
 class Attacked:

@@ -38,7 +38,7 @@ def client_threads() -> list[threading.Thread]:
 def test_a_script_whose_cell_is_not_up_ends_with_one_line() -> None:
     script = f"from deltaq_protocol.blocking import connect\nwith connect({endpoint()!r}): pass\n"
     done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=100
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=300
     )
     assert done.returncode == 1
     assert re.fullmatch(r"error: no server answers at .*\n", done.stderr)

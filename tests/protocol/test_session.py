@@ -40,7 +40,7 @@ class Heard:
 
     def until(self, publish: Any) -> None:
         """Publish until something is heard."""
-        give_up = time.monotonic() + 10
+        give_up = time.monotonic() + 300
         with self._changed:
             while not self.payloads:
                 assert time.monotonic() < give_up, "nothing heard"
@@ -50,7 +50,7 @@ class Heard:
     def wait_for(self, payload: bytes) -> None:
         """Wait until this is what came last."""
         with self._changed:
-            came = self._changed.wait_for(lambda: self.payloads[-1:] == [payload], timeout=60)
+            came = self._changed.wait_for(lambda: self.payloads[-1:] == [payload], timeout=300)
             assert came, self.payloads[-1:]
 
 

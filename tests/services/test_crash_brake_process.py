@@ -19,7 +19,7 @@ from deltaq_protocol.brake import brake_increment
 pytestmark = pytest.mark.long
 
 SUPPORT = Path(__file__).parents[1] / "support"
-WAITS_S = 20.0
+WAITS_S = 300.0
 ROUNDING = 2e-8
 
 

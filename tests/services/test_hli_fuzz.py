@@ -133,7 +133,7 @@ def test_no_payload_on_any_key_of_the_open_realm_harms_the_service(
     key = topics.INCREMENT.key("small", robot="fr")
     session.put(key, payload, attachment=Prover(lease.token).prove(key, payload))  # read, as a holder's
     for topic in (topics.LEASE, topics.IO, topics.RESET, topics.STATUS):
-        replies = list(session.get(topic.key("small", robot="fr"), payload=payload, timeout=5))
+        replies = list(session.get(topic.key("small", robot="fr"), payload=payload, timeout=300))
         assert len(replies) == 1, topic.name
     status = server.hli.status()
     assert "failed" not in status.hli

@@ -52,7 +52,7 @@ class Reader:
         return read
 
     def _get(self) -> str:
-        with urllib.request.urlopen(self._url, timeout=10) as answer:
+        with urllib.request.urlopen(self._url, timeout=300) as answer:
             text: str = answer.read().decode()
         return text
 

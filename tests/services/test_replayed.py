@@ -130,7 +130,7 @@ def test_the_process_prints_it_and_errors_are_one_line(recorded: Path, cell: Cel
     def run(file: Path) -> subprocess.CompletedProcess[str]:
         command = ["-m", "deltaq_services.recorder.replayed", str(file), "--identity", str(cell.identity)]
         return subprocess.run(
-            [sys.executable, *command], capture_output=True, text=True, timeout=90, check=False
+            [sys.executable, *command], capture_output=True, text=True, timeout=300, check=False
         )
 
     assert json.loads(run(recorded).stdout) == json.loads(json.dumps(replayed(recorded, str(cell.identity))))

@@ -25,7 +25,7 @@ from deltaq_services.robot_server.rsi_driver import RsiDriver, sensor_codec
 from deltaq_services.robot_server.shell import Ending, Loop
 from deltaq_testing.private_cell import free_ports
 
-WAITS_S = 10.0
+WAITS_S = 300.0
 
 
 class Rig:

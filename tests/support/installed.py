@@ -66,7 +66,7 @@ class Installed:
             cwd=self.folder,
             capture_output=True,
             text=True,
-            timeout=120,
+            timeout=300,
             check=False,
         )
 
@@ -74,7 +74,7 @@ class Installed:
 def build_wheel(folder: Path) -> Path:
     """Build the tree's wheel, as a release does."""
     command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
-    subprocess.run(command, cwd=ROOT, check=True, capture_output=True, timeout=120)
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True, timeout=300)
     (wheel,) = folder.glob("*.whl")
     return wheel
 
@@ -90,7 +90,7 @@ def install(wheel: Path, folder: Path, extra: str = "") -> Installed:
     subprocess.run(
         [*command, *offline, f"{wheel}[{extra}]" if extra else str(wheel)],
         check=True,
-        timeout=120,
+        timeout=300,
         env=installed.environment(),
     )
     return installed

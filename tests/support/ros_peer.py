@@ -21,7 +21,7 @@ COMMAND_TYPE = (
     "trajectory_msgs::msg::dds_::JointTrajectory_/"
     "RIHS01_179b33eba59d676f6d967ac71fe35e7ca2f64b2f3928f4a018cec115e213796e"
 )
-_WAITS_S = 60.0
+_WAITS_S = 300.0
 GID = bytes(range(16))
 
 

@@ -11,7 +11,7 @@ import time
 
 from RSIPI import RSIAPI
 
-PATIENCE_S = 60.0
+PATIENCE_S = 300.0
 
 
 def main(config_file: str) -> None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import random
-import socket
 from collections.abc import Iterable
 from typing import Any
 
@@ -15,6 +12,7 @@ from deltaq_cell.description import CellDescription
 from deltaq_cell.identity import content_identity
 from deltaq_protocol.guarded import Admission, Plan, ServerState
 from deltaq_protocol.messages import Description, Phase, ToolPose
+from deltaq_testing.private_cell import free_ports
 
 REVOLUTE = {
     "home_deg": 0.0,
@@ -32,22 +30,9 @@ PRISMATIC = {
 }
 
 
-_given: set[int] = set()
-
-
 def free_port() -> int:
-    """A TCP port of the loopback that nobody listens on.
-
-    It lies below the system's own range, from which every outgoing connection takes its port: one of those
-    could be gone before it is listened on.
-    """
-    while True:
-        port = random.SystemRandom().randrange(10_000, 32_000)
-        with socket.socket() as probe, contextlib.suppress(OSError):
-            probe.bind(("127.0.0.1", port))
-            if port not in _given:
-                _given.add(port)
-                return port
+    """A port of the loopback that nobody listens on, and that no other process of these tests draws."""
+    return free_ports(1)[0]
 
 
 def endpoint() -> str:

@@ -8,14 +8,7 @@ from deltaq_testing.faults.catalogue import UnknownFaultError, fault_named
 from deltaq_testing.faults.panel import inject
 from deltaq_testing.faults.table import run_table
 from deltaq_testing.private_cell import write_private_cell
-from studies.live_faults.clocks import NoCompilerError
 from studies.live_faults.run import live_table
-
-
-def test_clocks_cannot_be_set_without_a_compiler(tmp_path, monkeypatch):
-    monkeypatch.setenv("CC", "no-such-compiler")
-    with pytest.raises(NoCompilerError, match="leave out the faults of clocks"):
-        live_table(write_private_cell(tmp_path), "fr", [fault_named("wall-clock-drift")])
 
 
 def test_a_fault_that_no_panel_can_inject_is_refused_before_anything_is_asked():

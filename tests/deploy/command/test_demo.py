@@ -43,7 +43,7 @@ def test_the_demonstration_moves_both_arms_tells_its_figures_and_leaves_nothing_
     tmp_path: Path,
 ) -> None:
     with demo(tmp_path, 4.0) as running:
-        output, log = running.communicate(timeout=120)
+        output, log = running.communicate(timeout=300)
     assert running.returncode == 0, log
     summary = json.loads(output)
     for arm in ARMS:
@@ -66,7 +66,7 @@ def test_ctrl_c_ends_the_demonstration_early_with_the_robots_at_rest(tmp_path: P
             if "Ctrl-C ends it" in line:
                 break
         running.send_signal(signal.SIGINT)
-        _, rest = running.communicate(timeout=120)
+        _, rest = running.communicate(timeout=300)
     log.append(rest)
     assert "bringing the robots to rest" in rest, log
     assert "could not be asked to rest" not in rest, log

@@ -17,7 +17,7 @@ from deltaq_deploy.command.app import app
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_testing.private_cell import free_ports, write_private_cell
 
-PATIENCE_S = 60.0
+PATIENCE_S = 300.0
 
 
 def rsi(*arguments: str) -> tuple[int, dict[str, Any]]:

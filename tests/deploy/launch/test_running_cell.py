@@ -84,7 +84,7 @@ def phases(cell: RunningCell) -> dict[str, str]:
 
 
 def wait_for_phases(cell: RunningCell, wanted: dict[str, str]) -> None:
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + 300
     while (found := phases(cell)) != wanted:
         assert time.monotonic() < deadline, found
 
@@ -175,7 +175,7 @@ def test_a_dry_run_tells_what_the_gate_would_say_and_moves_nothing(cell: Running
 
 def test_outputs_are_set_and_shown_and_not_against_the_holder_of_the_lease(cell: RunningCell) -> None:
     assert cell.deltaq("io", "--robot", "gr", "gripper=on").returncode == 0
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 300
     while not json.loads((told := cell.deltaq("io", "--robot", "gr", "--json")).stdout)["outputs"]["gripper"]:
         assert time.monotonic() < deadline, told
     assert "output gripper: on\noutput tool_changer: off\ninput " in cell.deltaq("io", "--robot", "gr").stdout
@@ -205,7 +205,7 @@ def test_a_contact_is_allowed_seen_and_forbidden_again(cell: RunningCell) -> Non
 
 
 def wait_for_contacts(cell: RunningCell, wanted: dict[str, bool]) -> None:
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + 300
     while (found := json.loads(cell.deltaq("contact", "--json").stdout)["contacts"]) != wanted:
         assert time.monotonic() < deadline, found
 
