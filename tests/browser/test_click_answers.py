@@ -31,7 +31,7 @@ def test_a_click_is_always_answered_in_words(alone, answers, told):
     page.locator(".answer", has_text=told).wait_for()
 
 
-def test_who_takes_a_robot_is_told_to_wait_for_its_driver_and_when_it_is_there(alone):
+def test_taking_a_robot_shows_a_wait_until_its_driver_is_ready(alone):
     page = alone()
     page.evaluate("line.answers = {outcome: 'asked'}")
     page.evaluate("window.setTimeout = ((late) => (act, ms) => late(act, ms === 5000 ? 0 : ms))(setTimeout)")
@@ -42,7 +42,7 @@ def test_who_takes_a_robot_is_told_to_wait_for_its_driver_and_when_it_is_there(a
     page.locator(".answer", has_text="Take control: done.").wait_for()
 
 
-def test_a_request_for_a_robot_stays_over_the_cell_until_it_is_answered_also_for_a_robot_that_is_not_shown(
+def test_a_request_for_any_robot_stays_on_the_page_until_it_is_answered(
     alone,
 ):
     page = alone()
@@ -59,7 +59,7 @@ def test_a_request_for_a_robot_stays_over_the_cell_until_it_is_answered_also_for
     assert banner.text_content() == ""
 
 
-def test_a_page_says_what_is_lost_with_the_hli_and_how_to_start_it(alone):
+def test_the_page_names_the_lost_services_and_how_to_start_the_hli(alone):
     page = alone()
     remedy = "No robot can be driven, and control is lost. Start it: deltaq up --cell lab --only hli"
     page.evaluate("status => line.show(status)", status(hli=False, text="no answer", remedy=remedy))
@@ -84,7 +84,7 @@ def test_a_name_is_asked_for_once_and_kept_in_the_browser(alone):
     page.wait_for_function("document.querySelector('.who input').disabled")
 
 
-def test_the_page_shows_the_cell_under_its_own_policy_which_lets_no_text_be_run(alone):
+def test_the_content_security_policy_shows_the_cell_and_runs_no_inline_script(alone):
     page = alone(bypass_csp=False)
     assert page.evaluate("document.fonts.load('14px Roboto').then(({length}) => length)")
     refused = """new Promise((told) => {

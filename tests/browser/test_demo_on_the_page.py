@@ -27,7 +27,7 @@ def demo(tmp_path):
             running.communicate()
 
 
-def test_the_demonstration_is_seen_steered_and_stopped_in_a_browser(chromium, demo):
+def test_a_browser_shows_steers_and_stops_the_demonstration(chromium, demo):
     running, url = demo
     page = chromium.new_context(viewport={"width": 1000, "height": 560}, bypass_csp=True).new_page()
     page.set_default_timeout(3 * TIMEOUT_MS)  # two controllers take what the browser would need

@@ -55,7 +55,7 @@ def comes_to_rest(served_cell, cycles=STANDS_CYCLES):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("lost_s", [2, 9])
-def test_while_the_network_is_lost_the_robot_rests_and_afterwards_nothing_old_is_carried_out(
+def test_a_lost_network_stops_the_robot_and_no_old_command_is_executed_afterwards(
     opened, served_cell, lost_s
 ):
     line = Line()
@@ -89,7 +89,7 @@ def test_while_the_network_is_lost_the_robot_rests_and_afterwards_nothing_old_is
 
 
 @pytest.mark.nightly
-def test_a_stop_pressed_while_the_network_is_lost_says_so_and_goes_out_when_it_is_back_even_from_another_page(
+def test_a_stop_pressed_without_network_is_sent_on_reconnection_even_from_another_page(
     opened,
 ):
     line = Line()
@@ -109,7 +109,7 @@ def test_a_stop_pressed_while_the_network_is_lost_says_so_and_goes_out_when_it_i
 
 
 @pytest.mark.nightly
-def test_a_page_behind_another_lets_go(opened, served_cell):
+def test_a_page_that_loses_focus_stops_commanding_motion(opened, served_cell):
     page = opened()
     take_control(page)
     hold_until_it_moves(page)
@@ -131,7 +131,7 @@ def test_a_page_behind_another_lets_go(opened, served_cell):
 
 
 @pytest.mark.nightly
-def test_while_the_browser_lets_a_page_sleep_in_motion_the_robot_comes_to_rest(opened, served_cell):
+def test_a_page_suspended_in_motion_brings_the_robot_to_rest(opened, served_cell):
     page = opened()
     take_control(page)
     hold_until_it_moves(page)
@@ -151,7 +151,7 @@ def test_while_the_browser_lets_a_page_sleep_in_motion_the_robot_comes_to_rest(o
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("ahead_ms", [HOUR_MS, -HOUR_MS])
-def test_a_clock_of_the_browser_that_is_an_hour_off_makes_no_difference(opened, ahead_ms):
+def test_a_browser_clock_an_hour_off_changes_nothing(opened, ahead_ms):
     def set_clock(page):
         page.add_init_script(
             f"""const origin = performance.timeOrigin + {ahead_ms};

@@ -39,7 +39,7 @@ def press(page, what):
 
 
 @pytest.mark.nightly
-def test_a_pad_is_plugged_in_drives_the_hand_before_the_camera_and_pulled_out_is_rest(opened):
+def test_a_gamepad_drives_the_hand_and_unplugging_it_stops_the_robot(opened):
     page = opened(lambda page: page.add_init_script(PAD))
     pad = page.locator(".pad")
     assert "No gamepad" in pad.text_content()

@@ -11,7 +11,7 @@ AXES = "deltaq.axes.map(({visible, matrix}) => visible && Array.from(matrix.elem
 
 
 @pytest.mark.parametrize("frame", ["world", "tool"])
-def test_while_a_hand_is_jogged_the_axes_that_it_is_jogged_along_are_drawn_at_it(alone, frame):
+def test_jogging_a_hand_draws_the_jog_axes_at_it(alone, frame):
     page = alone()
     page.evaluate("status => line.show(status)", status(gr=mine(mode="coupled", frame=frame)))
     assert page.evaluate(AXES) == [False]
@@ -24,7 +24,7 @@ def test_while_a_hand_is_jogged_the_axes_that_it_is_jogged_along_are_drawn_at_it
     page.wait_for_function("!deltaq.axes[0].visible")
 
 
-def test_a_plot_is_shown_or_hidden_as_chosen_also_when_the_page_is_loaded_again(alone):
+def test_shown_and_hidden_plots_survive_a_reload(alone):
     page = alone()
     shown = "[...document.querySelectorAll('.plot:not([hidden]) b')].map((title) => title.textContent)"
     usual = page.evaluate(shown)
@@ -80,7 +80,7 @@ def test_in_steps_one_press_moves_once_by_one_degree_or_five_millimetres(alone, 
     assert moved == pytest.approx([size if k == index else 0.0 for k in range(len(moved))])
 
 
-def test_joints_home_and_saved_positions_are_asked_for_and_nothing_moves(alone):
+def test_joint_home_and_saved_positions_fill_the_request_without_motion(alone):
     page = alone()
     page.evaluate("status => line.show(status)", status(gr=mine(mode="pose")))
     page.get_by_text("Home, saved positions, joints").click()

@@ -16,7 +16,7 @@ def tab_to(page, name):
 
 
 @pytest.mark.nightly
-def test_by_keys_alone_one_takes_a_robot_moves_a_chosen_joint_and_stops(opened):
+def test_the_keyboard_alone_takes_a_robot_moves_a_joint_and_stops(opened):
     page = opened()
     page.wait_for_function("deltaq.live.locked('gr') === ''")
     if page.evaluate("deltaq.live.robot('gr').phase") == "held":

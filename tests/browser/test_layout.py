@@ -45,7 +45,7 @@ SCROLL = "top => { for (const box of document.querySelectorAll('.left, .console'
 
 
 @pytest.mark.parametrize(("width", "height"), SIZES)
-def test_no_motion_control_moves_whatever_the_page_has_to_say(alone, width, height):
+def test_messages_never_shift_the_motion_controls(alone, width, height):
     page = alone(width, height)
 
     def places(doing, given=None):
@@ -80,7 +80,7 @@ def test_no_motion_control_moves_whatever_the_page_has_to_say(alone, width, heig
 
 
 @pytest.mark.parametrize(("width", "height"), [*SIZES, (390, 844)])
-def test_whoever_can_take_control_can_also_jog_there_and_nothing_is_cut_off_at_the_side(alone, width, height):
+def test_at_every_window_size_jog_and_stop_are_within_reach(alone, width, height):
     page = alone(width, height)
     page.evaluate("status => line.show(status)", status(gr=mine(mode="coupled")))
     jog = page.get_by_role("button", name="Z minus, hold to move", exact=True)
@@ -92,7 +92,7 @@ def test_whoever_can_take_control_can_also_jog_there_and_nothing_is_cut_off_at_t
     assert page.evaluate(wide) == [0, 0, 0]
 
 
-def test_follow_moves_the_robot_only_once_its_button_was_held(alone):
+def test_follow_moves_the_robot_only_after_its_button_was_held(alone):
     page = alone()
     page.evaluate("deltaq.driven.choose('fr')")
     page.evaluate("status => line.show(status)", status(fr=mine(mode="decoupled")))

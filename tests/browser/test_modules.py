@@ -39,7 +39,7 @@ def node(*arguments, text=""):
     )
 
 
-def test_the_modules_do_as_they_say():
+def test_the_page_modules_pass_their_own_tests():
     done = node("--test", str(HERE / "modules.test.mjs"))
     assert done.returncode == 0, done.stdout
 

@@ -110,7 +110,7 @@ KEPT = f"""() => new Promise((kept) => {{
 
 
 @pytest.mark.nightly
-def test_the_cameras_picture_stays_on_the_page_where_a_picture_leaves_it_out(opened):
+def test_the_camera_picture_stays_when_an_update_omits_it(opened):
     page = opened()
     page.wait_for_function("deltaq.stage.isFinest()")
     still = np.array(page.evaluate(INSET))
@@ -128,7 +128,7 @@ def test_the_cameras_picture_stays_on_the_page_where_a_picture_leaves_it_out(ope
 
 
 @pytest.mark.nightly
-def test_pictures_go_on_when_the_graphics_hardware_was_lost_and_has_come_back(opened):
+def test_drawing_resumes_after_a_lost_graphics_context(opened):
     page = opened()
     page.wait_for_function("deltaq.stage.isFinest()")
     page.evaluate("""async () => {
@@ -165,9 +165,7 @@ def test_stop_brings_a_driven_robot_to_rest_and_says_so(opened, way):
     page.wait_for_function(AT_REST)  # pictures come by themselves, and one may be on its way
 
 
-def test_a_page_that_is_loaded_again_in_motion_keeps_name_and_control_and_the_robot_rests(
-    opened, served_cell
-):
+def test_reloading_the_page_in_motion_keeps_name_and_control_and_stops_the_robot(opened, served_cell):
     page = opened()
     name = page.get_by_label("Your name")
     name.fill("Anna")
@@ -185,7 +183,7 @@ def test_a_page_that_is_loaded_again_in_motion_keeps_name_and_control_and_the_ro
     page.evaluate("clearInterval(pressing), deltaq.wish.releaseAll()")
 
 
-def test_a_line_that_is_cut_locks_the_page_and_nothing_is_sent_when_it_is_back(opened):
+def test_a_lost_connection_locks_the_page_and_reconnection_sends_nothing(opened):
     line = {"cut": False, "sent": []}
 
     def route(websocket):

@@ -53,7 +53,7 @@ def shown_a6(page):
 
 
 @pytest.mark.nightly
-def test_a_recording_is_scrubbed_in_the_scene_and_is_never_taken_for_the_cell(opened, served_cell, turned):
+def test_scrubbing_a_recording_marks_the_scene_as_recorded(opened, served_cell, turned):
     page = opened()
     take_control(page)
     home = served_cell.model.robots["gr"].home[-1]
@@ -104,7 +104,7 @@ def test_a_recording_is_scrubbed_in_the_scene_and_is_never_taken_for_the_cell(op
 
 
 @pytest.mark.nightly
-def test_stop_behind_a_recording_stops_the_live_robots_and_says_so(opened, turned):
+def test_stop_while_a_recording_is_shown_stops_the_live_robots(opened, turned):
     page = opened()
     take_control(page)
     open_recording(page, NAME)
@@ -142,7 +142,7 @@ def test_the_cell_is_recorded_from_the_page_and_shown_by_it(opened, served_cell)
 
 
 @pytest.mark.nightly
-def test_a_recording_that_cannot_be_read_is_told_and_the_cell_stays_shown(opened, served_cell):
+def test_an_unreadable_recording_is_reported_and_the_cell_stays_shown(opened, served_cell):
     (served_cell.recordings / "broken.mcap").write_text("no recording")
     page = opened()
     page.locator("[data-part=recordings]").click()

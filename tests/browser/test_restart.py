@@ -9,9 +9,7 @@ from test_page import AT_REST, hold_until_it_moves, take_control
 pytestmark = [pytest.mark.browser, pytest.mark.live, pytest.mark.timeout(300)]
 
 
-def test_a_console_that_is_killed_in_motion_leaves_the_robot_at_rest_and_the_page_comes_back_by_itself(
-    opened, served_cell, shared_stack
-):
+def test_a_killed_console_leaves_the_robot_at_rest_and_the_page_reconnects(opened, served_cell, shared_stack):
     line = Line()
     page = opened(lambda page: page.route_web_socket("**/live**", line.route))
     take_control(page)

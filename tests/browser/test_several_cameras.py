@@ -38,7 +38,7 @@ def following(url: str, robot: str) -> Iterator[None]:
             follower.communicate()
 
 
-def test_the_picture_is_handed_to_the_camera_that_sees_unless_one_was_chosen(
+def test_the_picture_switches_to_the_camera_with_a_view_unless_one_was_chosen(
     chromium: Any, tmp_path: Path
 ) -> None:
     (cell_file,) = (step for step in steps(PAGE.read_text(encoding="utf-8")) if step.kind == "write")

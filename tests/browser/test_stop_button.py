@@ -68,7 +68,7 @@ def test_stop_is_red_or_amber_and_readable_in_every_state_also_under_the_pointer
     assert min(worst.values()) >= LEAST_CONTRAST, worst
 
 
-def test_a_stop_that_the_hli_does_not_hear_says_that_it_is_not_confirmed_and_is_confirmed_late(alone):
+def test_a_stop_without_hli_is_shown_unconfirmed_and_confirmed_later(alone):
     page = alone()
     page.evaluate("line.answers = {outcome: 'asked'}")
     page.locator("[data-part=stop]").click()

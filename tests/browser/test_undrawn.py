@@ -37,7 +37,7 @@ def without_webgl(page):
         pytest.param(without_webgl, "This browser has no WebGL 2"),
     ],
 )
-def test_a_page_that_cannot_show_the_cell_says_why_and_stops_a_robot_that_moves(opened, spoil, words):
+def test_a_page_without_graphics_says_why_and_still_stops_a_robot(opened, spoil, words):
     page = opened(spoil, ready="undrawn")
     told = page.locator(".undrawn")
     assert words in told.text_content()

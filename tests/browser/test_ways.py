@@ -76,7 +76,7 @@ def let_go(page):
 
 
 @pytest.mark.nightly
-def test_an_option_is_shown_gone_to_while_held_reached_and_cancelled(opened):
+def test_an_option_is_previewed_approached_while_held_and_cancelled(opened):
     page = opened()
     in_mode(page, "advisor")
     page.wait_for_function(f"document.querySelector('.card-option') && !{SEARCH}.is_busy")
@@ -138,7 +138,7 @@ def test_an_option_is_shown_gone_to_while_held_reached_and_cancelled(opened):
 
 
 @pytest.mark.nightly
-def test_an_arm_without_a_joint_to_spare_is_offered_ways_on_which_its_hand_leaves(opened):
+def test_a_non_redundant_arm_is_offered_paths_on_which_its_hand_leaves(opened):
     page = opened()
     in_mode(page, "advisor", "fr")
     assert page.locator("[data-mode=self-motion]").is_hidden()
@@ -154,7 +154,7 @@ def test_an_arm_without_a_joint_to_spare_is_offered_ways_on_which_its_hand_leave
 
 
 @pytest.mark.nightly
-def test_a_pose_that_is_dragged_is_shown_first_and_gone_to_when_told(opened, served_cell):
+def test_a_dragged_pose_is_previewed_and_approached_on_command(opened, served_cell):
     page = opened()
     in_mode(page, "pose")
     page.wait_for_function("deltaq.gizmo.root.visible")
@@ -183,7 +183,7 @@ def test_a_pose_that_is_dragged_is_shown_first_and_gone_to_when_told(opened, ser
 
 
 @pytest.mark.nightly
-def test_a_pose_out_of_reach_or_behind_a_body_is_told_and_out_of_reach_cannot_be_gone_to(opened, served_cell):
+def test_an_unreachable_or_blocked_pose_is_reported_and_not_approached(opened, served_cell):
     page = opened()
     in_mode(page, "pose")
     page.wait_for_function("deltaq.gizmo.root.visible")
@@ -227,7 +227,7 @@ def test_the_slider_of_the_view_distance_moves_a_camera_that_follows(opened):
 
 
 @pytest.mark.nightly
-def test_a_robot_is_taken_over_from_a_holder_outside_by_a_button_that_is_held(opened, served_cell):
+def test_holding_a_button_takes_a_robot_from_another_client(opened, served_cell):
     with connect(served_cell.model.description, "night shift") as outside, outside.lease("gr"):
         page = opened()
         page.locator("[data-robot=gr]").click()

@@ -129,7 +129,7 @@ def test_the_cycle_is_one_that_the_krc_can_have(tmp_path: Path, cycle: float, kr
         ("tcp_port: 5210", "tcp_port: 5210\nconsole_port: 60999", "console_port", 60999),
     ],
 )
-def test_a_port_that_another_socket_may_be_given_by_chance_is_a_warning(
+def test_a_port_in_the_ephemeral_range_is_a_warning(
     tmp_path: Path, old: str, new: str, field: str, port: int
 ) -> None:
     path, lines = checked(tmp_path, (old, new))
@@ -160,7 +160,7 @@ def test_a_tolerance_wider_than_the_stop_distance_is_a_warning(tmp_path: Path) -
     assert 1 < problem.bound < 2
 
 
-def test_a_home_in_contact_is_told_with_the_two_bodies(tmp_path: Path) -> None:
+def test_a_home_in_contact_is_reported_with_both_bodies(tmp_path: Path) -> None:
     path, _ = checked(tmp_path, ("e3: {home_m: -0.175", "e3: {home_m: -1.3"))
     report = check_cell(path)
     assert report.errors
@@ -168,19 +168,19 @@ def test_a_home_in_contact_is_told_with_the_two_bodies(tmp_path: Path) -> None:
     assert any(re.search(r"gr/\w+ and structure/\w+", p.message) for p in report.errors)
 
 
-def test_a_robot_that_stands_in_the_floor_without_leave_is_told(tmp_path: Path) -> None:
+def test_a_robot_in_undeclared_contact_with_the_floor_is_reported(tmp_path: Path) -> None:
     path, _ = checked(tmp_path, ("mounted_on: [rail_south, rail_north]", "mounted_on: [rail_south]"))
     assert any("structure/rail_north" in p.message for p in check_cell(path).errors)
 
 
-def test_a_file_that_cannot_be_loaded_is_reported_not_raised(tmp_path: Path) -> None:
+def test_an_unloadable_file_is_reported_without_an_exception(tmp_path: Path) -> None:
     report = check_cell(tmp_path / "gone.yaml")
     assert [p.message for p in report.errors] == ["no such file"]
     path, _ = checked(tmp_path, ("cycle_s: 0.012", "cycle_s: -1"))
     assert [p.field for p in check_cell(path).errors] == ["cycle_s"]
 
 
-def test_a_contact_that_names_no_body_is_told_with_the_nearest_name(tmp_path: Path) -> None:
+def test_an_unknown_body_in_a_contact_is_answered_with_the_nearest_name(tmp_path: Path) -> None:
     path, _ = checked(tmp_path, ("bodies: [gr/tool_gripper,", "bodies: [gr/tool_griper,"))
     report = check_cell(path)
     assert [problem.field for problem in report.problems] == ["contacts.gripper_on_valves.bodies.0"]
@@ -211,7 +211,7 @@ KRC_FILES = [
     KRC_FILES,
     ids=[row[6] for row in KRC_FILES],
 )
-def test_a_krc_file_that_does_not_fit_is_told_at_the_field_it_concerns(
+def test_a_mismatching_krc_file_is_reported_at_its_field(
     tmp_path: Path,
     file_edits: list[tuple[str, str]],
     cell_edits: list[tuple[str, str]],
@@ -236,7 +236,7 @@ def test_a_krc_file_that_does_not_fit_is_told_at_the_field_it_concerns(
     assert "kind: rsi" in lines[problem.line - 1]
 
 
-def test_contexts_and_programs_beside_the_krc_file_are_judged_with_it(tmp_path: Path) -> None:
+def test_contexts_and_programs_beside_the_krc_file_are_checked_too(tmp_path: Path) -> None:
     xml = resolve_near(find_cell("lab"), "fr_ethernet.xml").read_text(encoding="utf-8")
     (tmp_path / "fr_ethernet.xml").write_text(xml, encoding="utf-8")
     (tmp_path / "fr.rsi.xml").write_text(
@@ -308,7 +308,7 @@ def test_krc_files_whose_names_differ_by_case_alone_are_an_error(tmp_path: Path)
     ("field", "severities"),
     [("clients_need_tokens", []), ("anyone_who_connects_may_move_the_robots", ["warning"])],
 )
-def test_off_the_loopback_a_cell_says_which_clients_may_move_its_robots(
+def test_beyond_the_loopback_the_check_says_which_clients_may_move_robots(
     tmp_path: Path, field: str, severities: list[str]
 ) -> None:
     open_address = ("tcp_address: 127.0.0.1", f"tcp_address: 0.0.0.0\n{field}: true")
@@ -330,13 +330,13 @@ def test_with_identities_zenoh_in_the_clear_is_reported_with_field_value_and_rem
     assert check_cell(path).ok
 
 
-def test_where_zenoh_is_encrypted_there_is_nothing_to_be_told(tmp_path: Path) -> None:
+def test_encrypted_zenoh_gives_no_report(tmp_path: Path) -> None:
     open_address = ("hli: tcp/127.0.0.1:7447", "hli: tls/192.0.2.1:7447\nclients_need_tokens: true")
     path, _ = checked(tmp_path, open_address)
     assert check_cell(path).problems == ()
 
 
-def test_an_encrypted_address_is_no_less_open_than_another(tmp_path: Path) -> None:
+def test_an_encrypted_address_is_checked_like_any_other(tmp_path: Path) -> None:
     path, _ = checked(tmp_path, ("hli: tcp/127.0.0.1:7447", "hli: tls/192.0.2.1:7447"))
     (problem,) = check_cell(path).problems
     assert (problem.severity, problem.field) == ("error", "hli")

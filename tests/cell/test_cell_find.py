@@ -8,14 +8,14 @@ from deltaq_cell.find import CELLS_VARIABLE, cell_folders, cell_names, find_cell
 from deltaq_cell.problems import CellError
 
 
-def test_a_path_is_taken_as_it_is(tmp_path: Path) -> None:
+def test_a_path_is_used_unchanged(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("cell: mine")
     assert find_cell(path) == path
     assert find_cell(str(path)) == path
 
 
-def test_a_name_is_looked_up_in_the_environments_folders_before_the_registered_ones(
+def test_folders_of_the_environment_precede_registered_folders(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "empty").mkdir()
@@ -27,7 +27,7 @@ def test_a_name_is_looked_up_in_the_environments_folders_before_the_registered_o
     assert find_cell("lab-4ms").parent == cell_folders()[-1]
 
 
-def test_a_file_of_the_working_folder_does_not_take_the_place_of_a_named_cell(
+def test_a_file_in_the_working_folder_does_not_shadow_a_named_cell(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "lab").write_text("something else")
@@ -51,7 +51,7 @@ def test_the_shipped_cells_are_registered() -> None:
         ("la.yaml", "no such file", None),
     ],
 )
-def test_an_unknown_name_is_answered_with_close_ones(
+def test_an_unknown_name_is_answered_with_similar_names(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, message: str, suggestion: str | None
 ) -> None:
     (tmp_path / "mine.yaml").write_text("cell: mine")
@@ -64,7 +64,7 @@ def test_an_unknown_name_is_answered_with_close_ones(
     assert suggestion is None or f"did you mean '{suggestion}'?" in problem.message
 
 
-def test_a_cells_files_are_found_beside_it_then_in_krc_beside_its_folder_then_with_the_shipped_cells(
+def test_files_of_a_cell_are_searched_beside_it_then_in_krc_then_in_the_package(
     tmp_path: Path,
 ) -> None:
     cells, krc = tmp_path / "cells", tmp_path / "krc"

@@ -106,7 +106,7 @@ def test_the_cell_that_is_mutated_is_sound(tmp_path: Path) -> None:
     value=VALUES,
     other=st.integers(0, 10**6),
 )
-def test_a_field_that_is_replaced_removed_renamed_or_swapped_is_survived(
+def test_the_check_survives_replaced_removed_renamed_and_swapped_fields(
     tmp_path: Path, place: int, how: str, value: Any, other: int
 ) -> None:
     cell = tree()
@@ -137,7 +137,7 @@ def test_a_field_that_is_replaced_removed_renamed_or_swapped_is_survived(
         max_size=3,
     )
 )
-def test_a_text_that_is_cut_and_patched_anywhere_is_survived(
+def test_the_check_survives_text_cut_and_patched_anywhere(
     tmp_path: Path, cuts: list[tuple[int, int, str]]
 ) -> None:
     text = CELL
@@ -149,7 +149,7 @@ def test_a_text_that_is_cut_and_patched_anywhere_is_survived(
 @fuzzed
 @example(b"\xff\xfe\x00")
 @given(st.binary(max_size=200))
-def test_bytes_that_are_no_text_are_told(tmp_path: Path, content: bytes) -> None:
+def test_bytes_that_are_no_text_are_reported(tmp_path: Path, content: bytes) -> None:
     assert not checked(tmp_path, content).ok
 
 

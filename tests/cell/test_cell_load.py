@@ -76,7 +76,7 @@ def test_an_unknown_field_is_named_with_file_line_and_suggestion(tmp_path: Path)
     assert problem.suggestion == "base"
 
 
-def test_a_field_that_resembles_none_is_answered_with_those_that_are(tmp_path: Path) -> None:
+def test_an_unknown_field_without_a_similar_name_is_answered_with_all_fields(tmp_path: Path) -> None:
     problem = only(write(tmp_path, MINI.replace("gate:", "gate:\n  zzz: 1")))
     assert problem.line == 22
     assert problem.suggestion is None
@@ -115,7 +115,7 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("old", "new", "line", "field", "value", "bound", "message"), WRONG)
-def test_a_wrong_value_is_told_with_line_field_value_and_bound(
+def test_a_wrong_value_is_reported_with_line_field_value_and_bound(
     tmp_path: Path, old: str, new: str, line: int, field: str, value: object, bound: object, message: str
 ) -> None:
     assert old in MINI
@@ -133,7 +133,7 @@ def test_a_wrong_value_is_told_with_line_field_value_and_bound(
         ("kind: kinematic", "kind: kinematik", "robots.fr.driver.kind", "kinematic"),
     ],
 )
-def test_a_kind_that_does_not_exist_is_answered_with_those_that_do(
+def test_an_unknown_kind_is_answered_with_the_known_kinds(
     tmp_path: Path, old: str, new: str, field: str, suggestion: str
 ) -> None:
     problem = only(write(tmp_path, MINI.replace(old, new)))
@@ -142,14 +142,14 @@ def test_a_kind_that_does_not_exist_is_answered_with_those_that_do(
     assert f"did you mean '{suggestion}'?" in problem.message
 
 
-def test_a_krc_that_does_not_exist_is_answered_with_those_that_do(tmp_path: Path) -> None:
+def test_an_unknown_krc_is_answered_with_the_known_ones(tmp_path: Path) -> None:
     driver = "{kind: rsi, port: 49152, ethernet_xml: fr.xml, krc: krc3}"
     problem = only(write(tmp_path, MINI.replace("{kind: kinematic}", driver)))
     assert (problem.line, problem.field, problem.value) == (7, "robots.fr.driver.krc", "krc3")
     assert problem.bound == "krc2, krc4"
 
 
-def test_all_errors_of_a_file_are_told_at_once(tmp_path: Path) -> None:
+def test_all_errors_of_a_file_are_reported_together(tmp_path: Path) -> None:
     text = MINI.replace("0.012", "-1").replace("radius_m", "radius").replace("model: kr16", "modell: kr16")
     told = problems(write(tmp_path, text))
     assert [problem.line for problem in told] == sorted(problem.line for problem in told)
@@ -191,7 +191,7 @@ NO_CELL = [
 
 
 @pytest.mark.parametrize(("text", "line", "message"), NO_CELL, ids=[row[2] + str(row[1]) for row in NO_CELL])
-def test_yaml_that_is_no_mapping_is_reported_with_its_line(
+def test_yaml_other_than_a_mapping_is_reported_with_its_line(
     tmp_path: Path, text: str, line: int | None, message: str
 ) -> None:
     problem = only(write(tmp_path, text))
@@ -209,12 +209,12 @@ WORDS = [
 
 
 @pytest.mark.parametrize(("word", "value"), WORDS, ids=[row[0] or "nothing" for row in WORDS])
-def test_a_word_means_what_the_core_schema_of_yaml_1_2_says(word: str, value: object) -> None:
+def test_scalars_follow_the_core_schema_of_yaml_1_2(word: str, value: object) -> None:
     found = parse(f"a: {word}\n", "words.yaml").plain()["a"]
     assert (type(found), found) == (type(value), value)
 
 
-def test_merged_keys_give_way_to_those_of_the_mapping_and_to_those_merged_first() -> None:
+def test_own_keys_precede_merged_keys_and_earlier_merges_precede_later_ones() -> None:
     text = "a: &a {x: 1, y: 1}\nb: &b {y: 2, z: 2}\nc:\n  <<: [*a, *b]\n  x: 3\n"
     tree = parse(text, "merge.yaml")
     assert tree.plain()["c"] == {"x": 3, "y": 1, "z": 2}
@@ -222,18 +222,18 @@ def test_merged_keys_give_way_to_those_of_the_mapping_and_to_those_merged_first(
     assert (merged.file, merged.line) == ("merge.yaml", 4)
 
 
-def test_a_value_that_contains_itself_ends_in_problems_not_in_a_loop(tmp_path: Path) -> None:
+def test_a_value_that_contains_itself_is_an_error(tmp_path: Path) -> None:
     assert problems(write(tmp_path, MINI.replace("[0, 1, 2]", "&p [*p, *p, *p]")))
 
 
-def test_a_file_that_is_not_utf_8_is_told_with_its_line(tmp_path: Path) -> None:
+def test_a_file_other_than_utf_8_is_reported_with_its_line(tmp_path: Path) -> None:
     path = tmp_path / "lab.yaml"
     path.write_bytes(b"cell: lab\n# gr\xfcn\n")
     problem = only(path)
     assert (problem.line, problem.message) == (2, "is not UTF-8 text; save it as UTF-8")
 
 
-def test_a_huge_file_is_refused_unread(tmp_path: Path) -> None:
+def test_a_huge_file_is_refused_without_reading_it(tmp_path: Path) -> None:
     problem = only(write(tmp_path, "# " + "x" * (1 << 20)))
     assert "too large" in problem.message
     assert problem.bound == 1 << 20
@@ -250,7 +250,7 @@ def test_a_cell_extends_another_and_changes_only_what_it_names(tmp_path: Path) -
     assert parse_cell(load_with_text(tmp_path / "lab.yaml")[1]) == other  # the text stands alone
 
 
-def test_errors_of_an_extended_cell_point_into_the_file_they_are_in(tmp_path: Path) -> None:
+def test_errors_of_an_extended_cell_name_the_file_with_the_error(tmp_path: Path) -> None:
     write(tmp_path, MINI.replace("radius_m: 0.1", "radius_m: -1"), "base.yaml")
     text = "extends: base.yaml\ngate:\n  stop_distance_m: -2\n"
     found = {(problem.file, problem.line, problem.field) for problem in problems(write(tmp_path, text))}
@@ -297,7 +297,7 @@ TWO_ROBOTS = MINI.replace(
 )
 
 
-def test_a_cell_takes_out_what_it_inherits_by_null(tmp_path: Path) -> None:
+def test_null_removes_an_inherited_entry(tmp_path: Path) -> None:
     write(tmp_path, TWO_ROBOTS, "base.yaml")
     assert set(load_cell(tmp_path / "base.yaml").robots) == {"fr", "gr"}
     cell = load_cell(write(tmp_path, REMOVED))
@@ -362,7 +362,7 @@ def test_the_shipped_cells_are_found_by_name() -> None:
 
 
 @pytest.mark.long
-def test_loading_a_cell_loads_no_kinematics_and_nothing_of_its_deployment() -> None:
+def test_loading_a_cell_imports_neither_kinematics_nor_deployment() -> None:
     program = (
         "import sys\n"
         "from deltaq_cell.load import load_cell\n"
@@ -395,7 +395,7 @@ def load_with_driver(folder: Path, fields: str) -> None:
 
 
 @pytest.mark.parametrize("address", ["192.168.10.10", "0.0.0.0", "127.example.org"])
-def test_a_server_that_others_can_reach_is_told_its_krc(tmp_path, address):
+def test_a_server_reachable_from_outside_needs_the_address_of_its_krc(tmp_path, address):
     with pytest.raises(CellError, match=rf"krc_address is not given though address is {re.escape(address)}"):
         load_with_driver(tmp_path, f"address: {address}")
     load_with_driver(tmp_path, f"address: {address}, krc_address: 192.168.10.20")
@@ -406,13 +406,13 @@ def test_on_the_loopback_the_krc_need_not_be_named(tmp_path, address):
     load_with_driver(tmp_path, f"address: {address}")
 
 
-def test_users_cannot_be_given_the_stop_signal_as_an_output(tmp_path):
+def test_the_stop_signal_cannot_be_a_user_output(tmp_path):
     with pytest.raises(CellError, match=r"outputs\.gripper is Stop, which is driver\.stop"):
         load_with_driver(tmp_path, "stop: Stop, outputs: {gripper: Stop}")
 
 
 @pytest.mark.parametrize("krc", ["krc2", "krc4"])
-def test_emulated_drives_lag_as_those_of_their_krc_unless_the_cell_says_otherwise(krc):
+def test_emulated_drives_have_the_lag_of_their_krc_by_default(krc):
     fr = load_cell("lab").robots["fr"]
     told = fr.model_dump(exclude_unset=True, exclude={"servo_lag"})
     told["driver"]["krc"] = krc

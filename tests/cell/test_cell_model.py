@@ -40,7 +40,7 @@ def _changed(folder: Path, changes: str) -> CellIdentity:
         "cell: lab-of-another-name",
     ],
 )
-def test_whatever_is_meant_otherwise_changes_the_hash(tmp_path: Path, changes: str) -> None:
+def test_every_change_of_meaning_changes_the_hash(tmp_path: Path, changes: str) -> None:
     assert not LAB.is_same(_changed(tmp_path, changes))
 
 
@@ -53,7 +53,7 @@ def test_whatever_is_meant_otherwise_changes_the_hash(tmp_path: Path, changes: s
         f"cycle_s: {load_cell('lab').cycle_s!r}0",
     ],
 )
-def test_where_services_listen_and_how_it_is_written_change_nothing(tmp_path: Path, changes: str) -> None:
+def test_addresses_and_formatting_do_not_change_the_hash(tmp_path: Path, changes: str) -> None:
     assert LAB.is_same(_changed(tmp_path, changes))
 
 
@@ -64,7 +64,7 @@ def test_a_copy_of_the_file_is_the_same_cell(tmp_path: Path) -> None:
     assert LAB.is_same(content_identity(load_cell(copy)))
 
 
-def test_bodies_are_hashed_as_they_are_and_not_by_the_name_of_their_file() -> None:
+def test_the_hash_covers_the_geometry_of_bodies_and_not_their_file_names() -> None:
     cell = CellModel.load("lab")
     urdf = {name: robot.urdf for name, robot in cell.robots.items()}
     hulls = {name: robot.hulls for name, robot in cell.robots.items()}
@@ -77,7 +77,7 @@ def test_bodies_are_hashed_as_they_are_and_not_by_the_name_of_their_file() -> No
     assert cell.identity.is_same(LAB), "who has read no bodies compares the rest"
 
 
-def test_an_identity_survives_its_text_and_an_unknown_one_is_none() -> None:
+def test_an_identity_survives_a_round_trip_through_text_and_unknown_text_gives_none() -> None:
     for identity in (LAB, CellModel.load("dawm").identity):
         assert CellIdentity.parse(str(identity)) == identity
     for text in ("", "lab", "lab ", " ", "-", "lab 0-1", "\0"):
@@ -116,7 +116,7 @@ def cell_of(**has_camera: bool) -> CellDescription:
         ({"east": True, "west": True, "gr": False}, "east", "west", CameraRoles("east", "west")),
     ],
 )
-def test_the_first_camera_watches_the_first_other_robot_unless_told_otherwise(
+def test_the_first_camera_watches_the_first_other_robot_by_default(
     cameras: dict[str, bool], follower: str | None, leader: str | None, roles: CameraRoles
 ) -> None:
     assert camera_roles(cell_of(**cameras), follower, leader) == roles
@@ -134,7 +134,7 @@ def test_the_first_camera_watches_the_first_other_robot_unless_told_otherwise(
         ({"fr": False, "gr": False}, None, None, "no robot of cell lab carries a camera"),
     ],
 )
-def test_who_cannot_be_what_it_is_to_be_is_refused(
+def test_a_robot_unfit_for_its_role_is_refused(
     cameras: dict[str, bool], follower: str | None, leader: str | None, said: str
 ) -> None:
     with pytest.raises(RoleError, match=said):
@@ -179,7 +179,7 @@ def test_a_client_that_reads_neither_yaml_nor_urdf_places_every_frame(cell: str)
                 np.testing.assert_allclose(T_world_frame, robot.camera_pose(q), atol=1e-12)
 
 
-def test_and_so_does_the_urdf_itself() -> None:
+def test_the_urdf_places_every_frame_alike() -> None:
     model = CellModel.load("lab")
     for robot in model.robots.values():
         description = robot.description

@@ -24,7 +24,7 @@ DAWM = CELL.robots["dawm"]
 SIDES = {"left": range(1, 9), "right": range(9, 17)}
 
 
-def test_the_model_is_what_its_maker_writes_and_says_that_its_figures_are_stand_ins() -> None:
+def test_the_model_has_its_published_figures_and_marks_assumed_ones() -> None:
     assert make_dawm_urdf.FILE.read_text(encoding="utf-8") == make_dawm_urdf.text()
     assert "ALL LENGTHS, LIMITS, SPEEDS, SHAPES AND MASSES ARE STAND-INS" in make_dawm_urdf.text()
     assert "stand-ins" in CELL.yaml
@@ -72,7 +72,7 @@ def test_the_single_tool_pose_is_that_of_the_first_hand() -> None:
     assert DAWM.tool_pose(DAWM.home).position == tuple(DAWM.forward(DAWM.home, "left")[:3, 3].tolist())
 
 
-def test_a_hand_that_is_none_is_named_with_those_that_are() -> None:
+def test_an_unknown_hand_is_answered_with_the_known_hands() -> None:
     with pytest.raises(RobotModelError, match=r"one of left, right, tool, got 'lefd'; did you mean 'left'\?"):
         DAWM.forward(DAWM.home, "lefd")
 
@@ -89,7 +89,7 @@ def test_the_cell_is_good_and_its_robot_keeps_its_own_time() -> None:
     assert CELL.description.robots["dawm"].driver.kind == "kinematic"
 
 
-def test_at_home_everything_is_clear_of_everything_else_with_room_to_move() -> None:
+def test_at_home_all_bodies_are_clear_with_space_to_move() -> None:
     data = DAWM.model.createData()
     pin.forwardKinematics(DAWM.model, data, np.array(DAWM.home))
     placed = [(body.name, body.geometry, body.placement) for body in CELL.structure]
@@ -117,7 +117,7 @@ def write(folder: Path, old: str, new: str) -> Path:
     return path
 
 
-def test_a_hand_on_a_link_that_is_none_is_told_with_its_place(tmp_path: Path) -> None:
+def test_a_hand_on_an_unknown_link_is_reported_with_its_line(tmp_path: Path) -> None:
     (problem,) = check_cell(write(tmp_path, "link: left_hand", "link: left_hnad")).errors
     assert problem.field == "robots.dawm.hands.left.link"
     assert problem.suggestion == "left_hand"
@@ -134,7 +134,7 @@ def test_a_hand_cannot_take_the_name_of_another_frame(tmp_path: Path, name: str)
         load_cell(write(tmp_path, "      left:\n", f"      {name}:\n"))
 
 
-def test_a_tolerance_too_wide_for_the_longer_of_two_arms_is_told(tmp_path: Path) -> None:
+def test_a_tolerance_too_wide_for_the_longer_arm_is_reported(tmp_path: Path) -> None:
     wide = "max_acceleration_rad_s2: 1, tracking_tolerance_deg: 5}"
     path = write(tmp_path, "max_acceleration_rad_s2: 1, tracking_tolerance_deg: 0.001}", wide)
     (problem,) = check_cell(path).warnings
@@ -142,7 +142,7 @@ def test_a_tolerance_too_wide_for_the_longer_of_two_arms_is_told(tmp_path: Path)
     assert problem.bound == pytest.approx(np.rad2deg(0.05 / 2.97), abs=1e-3)
 
 
-def test_a_client_builds_the_robot_from_what_it_is_told() -> None:
+def test_a_client_builds_the_robot_from_its_description() -> None:
     message = CELL.description_message()
     description = parse_cell(message.yaml, "what the client was told")
     robot = RobotModel(description.robots["dawm"], "dawm", urdf=message.urdf["dawm"])

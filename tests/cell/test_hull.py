@@ -49,7 +49,7 @@ def test_a_small_hull_keeps_its_corners_and_their_order():
     assert list(hull_corners(on_a_ball(20))) == corners
 
 
-def test_a_hull_measures_to_the_bit_as_the_one_whose_corners_it_was_told():
+def test_a_hull_rebuilt_from_its_corners_measures_bit_identically():
     original = hull_of(on_a_ball(20))
     told = hull_shape(hull_corners(on_a_ball(20)))
     for point in on_a_ball(200, seed=2) * 1.5:
@@ -95,7 +95,7 @@ def test_a_hull_around_a_long_slanted_tube_follows_it():
         ([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "3 points: it takes four"),
     ],
 )
-def test_points_without_a_hull_are_refused(points, message):
+def test_points_that_span_no_volume_are_refused(points, message):
     with pytest.raises(HullError, match=message):
         hull_corners(np.array(points, dtype=float))
 
@@ -109,12 +109,12 @@ def test_points_without_a_hull_are_refused(points, message):
         (WEDGE[:3], "it takes four"),
     ],
 )
-def test_corners_that_are_told_and_make_no_hull_are_refused(corners, message):
+def test_given_corners_that_span_no_volume_are_refused(corners, message):
     with pytest.raises(HullError, match=message):
         hull_shape(corners)
 
 
-def test_no_shipped_robot_has_a_hull_that_coal_walks_along():
+def test_no_shipped_hull_needs_the_hill_climbing_of_coal():
     for robot in CellModel.load("lab").robots.values():
         for body in robot.geometry.geometryObjects:
             assert getattr(body.geometry, "num_points", 0) <= MOST_CORNERS, body.name

@@ -87,9 +87,7 @@ def names(groups):
 @pytest.mark.by_day(2)
 @pytest.mark.long
 @seeded(25)
-def test_a_look_finds_what_inflated_bodies_show_and_planes_take_only_from_that(
-    cell, reference, proximity, seed
-):
+def test_planes_only_remove_pairs_found_by_inflated_bodies(cell, reference, proximity, seed):
     random = np.random.default_rng(seed)
     placed((reference, proximity), spans(cell, random))
     room_m = float(random.choice([1e-5, 0.01, 0.1]))
@@ -130,7 +128,7 @@ def test_a_robot_is_placed_where_pinocchio_has_it(cell, reference, proximity, se
 
 
 @seeded(12)
-def test_pairs_left_out_have_more_room_than_requested(cell, proximity, seed):
+def test_omitted_pairs_have_more_clearance_than_requested(cell, proximity, seed):
     """Every pair, as coal measures it: by balls, by boxes, and by the search that ends early."""
     random = np.random.default_rng(seed)
     drawn = spans(cell, random)
@@ -172,7 +170,7 @@ def test_the_draws_above_are_of_every_kind(cell, proximity):
     assert min(kinds.values()) > 0, kinds
 
 
-def test_nothing_that_was_asked_before_changes_a_bit(cell, proximity):
+def test_earlier_queries_do_not_change_a_bit_of_the_answer(cell, proximity):
     random = np.random.default_rng(5)
     drawn = spans(cell, random)
 
@@ -214,7 +212,7 @@ def test_failed_groups_can_be_checked_again(cell, proximity):
 
 
 @pytest.mark.by_day(2)
-def test_of_bodies_in_one_another_the_deepest_is_told(reference, proximity, cell):
+def test_of_overlapping_bodies_the_deepest_pair_is_reported(reference, proximity, cell):
     random = np.random.default_rng(11)
     deep = 0
     for _ in range(60):
@@ -264,14 +262,14 @@ def run(**environment):
 
 
 @pytest.mark.long
-def test_the_machine_code_says_what_its_python_does():
+def test_the_machine_code_agrees_with_its_python():
     for machine, python in zip(run(), run(NUMBA_DISABLE_JIT="1"), strict=True):
         told, expected = machine.split(), python.split()
         assert told[:3] == expected[:3]
         np.testing.assert_allclose(np.array(told[3:], float), np.array(expected[3:], float), atol=1e-9)
 
 
-def test_no_liberties_are_taken_with_numbers():
+def test_the_compiler_uses_no_fast_math():
     """Else sums would be ordered as the processor likes."""
     for function in (
         kernel.look,

@@ -95,7 +95,7 @@ def test_a_distance_lies_between_the_bounds_and_they_meet(seed):
 @pytest.mark.long
 @settings(max_examples=200, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(-0.5, 0.5))
-def test_a_search_loses_no_more_than_a_hundredth_of_the_room_that_is_left(seed, room):
+def test_a_search_loses_at_most_a_hundredth_of_the_distance(seed, room):
     random = np.random.default_rng(seed)
     objects, bodies = two_bodies(random, 3.0)
     distance = measured(objects)
@@ -127,7 +127,7 @@ def test_the_bounds_meet_at_what_coal_measures_for_every_two_kinds(one, other):
 @pytest.mark.long
 @settings(max_examples=200, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(-0.5, 0.5))
-def test_a_search_that_ends_early_tells_no_more_than_there_is(seed, beyond):
+def test_a_search_that_ends_early_never_overstates_the_distance(seed, beyond):
     random = np.random.default_rng(seed)
     objects, bodies = two_bodies(random, 3.0)
     distance = measured(objects)
@@ -140,7 +140,7 @@ def test_a_search_that_ends_early_tells_no_more_than_there_is(seed, beyond):
         assert upper >= distance - coal_m(distance)
 
 
-def test_a_plane_that_was_found_is_free_of_both_bodies():
+def test_a_separating_plane_touches_neither_body():
     """A lower bound is what its own normal shows, whoever found it."""
     random = np.random.default_rng(3)
     for _ in range(100):
@@ -151,7 +151,7 @@ def test_a_plane_that_was_found_is_free_of_both_bodies():
         assert lower == pytest.approx(second - first - ROUNDING_M, abs=1e-12)
 
 
-def test_bodies_in_one_another_are_never_told_apart():
+def test_no_plane_separates_overlapping_bodies():
     random = np.random.default_rng(5)
     overlapping = 0
     for _ in range(200):
@@ -168,7 +168,7 @@ def point(*at):
     return PlacedBody(np.array([at], dtype=np.float64), 1, 0.0, 0.0, 1.0, 0.0, 0.0)
 
 
-def test_no_direction_to_begin_with_is_no_bound():
+def test_a_zero_start_direction_gives_no_bound():
     lower, upper, *_ = searched((point(0, 0, 0), point(3, 0, 0)), towards=(0.0, 0.0, 0.0))
     assert (lower, upper) == (-np.inf, np.inf)
 
@@ -202,7 +202,7 @@ def told_apart(objects):
 @pytest.mark.long
 @settings(max_examples=300, deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_no_more_than_the_distance_is_told_and_a_unit_vector_from_one_to_the_other(seed):
+def test_the_answer_is_at_most_the_distance_with_a_unit_vector_between_the_bodies(seed):
     objects, _ = two_bodies(np.random.default_rng(seed), 3.0)
     free, *normal = told_apart(objects)
     assert free <= max(measured(objects), 0.0) + coal_m(measured(objects))
@@ -219,7 +219,7 @@ BOX = coal.Box(0.4, 0.2, 0.6)
     [(BOX, 0), (BOX, 1), (BOX, 2), (coal.Cylinder(0.1, 0.6), 2), (coal.Capsule(0.1, 0.4), 2)],
 )
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_bodies_that_face_one_another_are_as_far_apart_as_they_are(shape, axis, sign):
+def test_facing_bodies_have_their_exact_distance(shape, axis, sign):
     turned = pin.Quaternion(0.3, -0.5, 0.7, 0.4).normalized().matrix()
     way = np.zeros(3)
     way[axis] = 2.0 * sign
@@ -235,7 +235,7 @@ def test_bodies_that_face_one_another_are_as_far_apart_as_they_are(shape, axis, 
 @pytest.mark.long
 @settings(max_examples=200, deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_a_body_reaches_as_far_as_its_box_along_the_boxs_edges(seed):
+def test_along_its_box_edges_a_body_reaches_as_far_as_its_box(seed):
     """The box holds the body, and touches it on every side."""
     objects, _ = two_bodies(np.random.default_rng(seed), 1.0)
     extents = Extents(objects[:1])

@@ -40,7 +40,7 @@ def in_numpy(points):
 @pytest.mark.long
 @settings(max_examples=200, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 30), st.integers(1, 17))
-def test_each_point_lies_beside_a_line_between_vertices_and_the_span_is_what_arrays_say(seed, count, joints):
+def test_every_point_is_within_the_width_of_a_segment_and_the_span_agrees_with_numpy(seed, count, joints):
     random = np.random.default_rng(seed)
     steps = random.normal(size=joints) + random.normal(size=(count, joints)) * random.choice([0.0, 1e-3, 1.0])
     points = np.cumsum(steps * 10.0 ** random.uniform(-9, 0), axis=0) + random.normal(size=joints)
@@ -67,7 +67,7 @@ def is_beside(point, start, end, deviation):
     return bool(still) and max([0.0, *at[0]]) <= min([1.0, *at[1]]) + 1e-9
 
 
-def test_points_of_one_place_make_a_span_of_no_size():
+def test_coincident_points_make_a_span_of_zero_size():
     middle, half, offsets, deviation = span_around(np.tile([1.0, -2.0], (5, 1)))
     assert middle.tolist() == [1.0, -2.0]
     assert half.tolist() == deviation.tolist() == [0.0, 0.0]
@@ -79,7 +79,7 @@ def test_one_point_is_its_own_span():
 
 
 @pytest.mark.parametrize("order", [1, -1])
-def test_a_corner_of_a_course_is_a_vertex(order):
+def test_a_corner_of_a_trajectory_is_a_vertex(order):
     points = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.5, 1.0], [3.0, 2.0]])[::order]
     middle, half, offsets, deviation = span_around(np.ascontiguousarray(points))
     np.testing.assert_allclose(middle + offsets, points[[0, 2, 4]], atol=1e-15)
@@ -87,12 +87,12 @@ def test_a_corner_of_a_course_is_a_vertex(order):
     np.testing.assert_allclose(deviation, 0.0, atol=1e-15)
 
 
-def test_a_course_that_turns_back_has_a_vertex_where_it_turns():
+def test_a_reversing_trajectory_has_a_vertex_where_it_reverses():
     points = np.array([[0.0], [1.0], [2.0], [1.0], [0.0]])
     assert (span_around(points)[0] + span_around(points)[2]).ravel().tolist() == [0.0, 2.0, 0.0]
 
 
-def test_a_span_is_as_wide_as_the_curve_deviates_from_its_vertices():
+def test_the_width_of_a_span_is_the_deviation_of_the_curve_from_its_segments():
     """Of an arc all points but its four vertices lie to one side of the lines between them."""
     t = np.linspace(0.0, 1.0, 40)
     points = np.stack([np.cos(t), np.sin(t)], axis=1)
@@ -102,7 +102,7 @@ def test_a_span_is_as_wide_as_the_curve_deviates_from_its_vertices():
     np.testing.assert_allclose(half, [(1 - np.cos(1)) / 2, np.sin(1) / 2])
 
 
-def test_a_width_is_the_tolerance_and_what_the_spread_makes_of_the_fastest_step():
+def test_the_width_is_the_tolerance_plus_the_lag_spread_times_the_fastest_step():
     points = np.array([[0.0, 1.0], [0.1, 1.0], [0.4, 0.8]])
     np.testing.assert_allclose(widths(points, np.array([0.01, 0.02]), 0.5), [0.16, 0.12])
     np.testing.assert_allclose(widths(points[:1], np.array([0.01, 0.02]), 0.5), [0.01, 0.02])

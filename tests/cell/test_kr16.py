@@ -61,7 +61,7 @@ def hull_planes(robot: RobotModel, name: str) -> tuple[np.ndarray, np.ndarray, n
     return points, normals, offsets
 
 
-def test_forward_kinematics_are_those_of_the_data_sheet(floor: RobotModel) -> None:
+def test_forward_kinematics_agree_with_the_data_sheet(floor: RobotModel) -> None:
     rng = np.random.default_rng(0)
     for q in rng.uniform(floor.lower, floor.upper, size=(50, 6)):
         np.testing.assert_allclose(floor.forward(q), arm_forward(q), atol=1e-9)
@@ -107,7 +107,7 @@ def test_gantry_kinematics_are_three_shifts_and_the_arm(gantry: RobotModel) -> N
 
 
 @pytest.mark.parametrize("model", ["kr16", "kr16_gantry"])
-def test_urdf_limits_are_those_of_the_data_sheet(model: str) -> None:
+def test_urdf_limits_agree_with_the_data_sheet(model: str) -> None:
     robot = RobotModel(describe(model), "r")
     np.testing.assert_allclose(robot.model.lowerPositionLimit, robot.lower, atol=1e-8)
     np.testing.assert_allclose(robot.model.upperPositionLimit, robot.upper, atol=1e-8)
@@ -156,7 +156,7 @@ def test_hulls_are_convex_closed_and_no_larger_than_the_links_box(floor: RobotMo
     np.testing.assert_allclose([points.min(axis=0), points.max(axis=0)], BOXES[link], atol=0.0025)
 
 
-def test_nothing_is_drawn_outside_what_is_checked(floor: RobotModel) -> None:
+def test_checked_bodies_enclose_everything_drawn(floor: RobotModel) -> None:
     checked = 0
     for body in floor.visual.geometryObjects:
         link, _, _ = body.name.rpartition("_")
@@ -168,7 +168,7 @@ def test_nothing_is_drawn_outside_what_is_checked(floor: RobotModel) -> None:
     assert checked == 12
 
 
-def test_the_meshes_are_what_their_script_makes() -> None:
+def test_the_meshes_agree_with_their_script() -> None:
     folder = Path(ROBOTS, "kr16", "meshes")
     committed = {str(p.relative_to(folder)): p.read_text(encoding="ascii") for p in folder.rglob("*.obj")}
     assert committed == make_kr16_meshes.meshes()

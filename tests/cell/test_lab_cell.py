@@ -30,7 +30,7 @@ def placed_bodies(lab: CellModel) -> list[tuple[str, object, coal.Transform3s]]:
     ]
 
 
-def test_at_home_everything_is_clear_of_everything_else(lab: CellModel) -> None:
+def test_at_home_all_bodies_are_clear(lab: CellModel) -> None:
     never = {pair for robot in lab.robots.values() for pair in robot.never_checked_pairs()}
     gate = lab.description.gate
     checked = 0

@@ -36,13 +36,13 @@ def robot(urdf: str, **changes: object) -> RobotModel:
     return RobotModel(describe("kr16", joints={"a": joint, "b": joint}, **changes), "r", urdf=urdf)
 
 
-def test_bodies_that_touch_at_home_and_everywhere_are_left_out() -> None:
+def test_bodies_that_touch_at_home_and_everywhere_are_not_checked() -> None:
     pairs = robot(chain()).never_checked
     assert pairs["r/one", "r/three"] is Why.ALWAYS_TOUCH
     assert pairs["r/one", "r/two"] is Why.ADJACENT
 
 
-def test_bodies_that_never_touched_in_a_sample_are_checked_all_the_same() -> None:
+def test_bodies_that_touch_in_no_sample_are_checked() -> None:
     assert ("r/one", "r/three") not in robot(chain(radius=0.05)).never_checked
 
 
@@ -67,7 +67,7 @@ def test_the_same_configurations_are_drawn_always_and_lie_within_the_limits() ->
     np.testing.assert_array_equal(drawn, samples(lower, upper))
 
 
-def test_the_shipped_robots_leave_out_nothing_but_what_their_structure_says() -> None:
+def test_shipped_robots_omit_only_pairs_that_touch_by_construction() -> None:
     for cell in ("lab", "dawm"):
         for model in CellModel.load(cell).robots.values():
             assert set(model.never_checked.values()) <= {Why.ONE_LINK, Why.ADJACENT, Why.MOUNTED}
@@ -87,7 +87,7 @@ def test_a_link_of_several_bodies_stands_for_all_of_them() -> None:
     assert never["r/one_1", "r/three"] is never["r/one_2", "r/three"] is Why.NAMED
 
 
-def test_a_body_that_is_not_there_is_refused_with_its_place() -> None:
+def test_an_unknown_body_is_refused_with_its_line() -> None:
     model = RobotModel(describe("kr16", never_checked=[["base", "link_3"], ["base", "link3"]]), "fr")
     with pytest.raises(RobotModelError, match=r"no body 'link3'.*did you mean 'link_3'") as caught:
         _ = model.never_checked
@@ -115,7 +115,7 @@ def written(folder: Path, radius: float, more: str = "") -> Path:
     return file
 
 
-def test_a_home_in_which_neighbours_overlap_is_good_and_the_check_says_what_it_left_out(
+def test_a_home_with_overlapping_neighbours_passes_and_the_check_lists_the_omitted_pairs(
     tmp_path: Path,
 ) -> None:
     report = check_cell(written(tmp_path, 0.12))
@@ -125,7 +125,7 @@ def test_a_home_in_which_neighbours_overlap_is_good_and_the_check_says_what_it_l
     assert {"pair": ["r/one", "r/three"], "why": str(Why.ALWAYS_TOUCH)} in told
 
 
-def test_bodies_that_are_near_wherever_the_joints_are_are_an_error_that_says_what_to_do(
+def test_bodies_too_near_in_every_configuration_are_an_error_with_a_remedy(
     tmp_path: Path,
 ) -> None:
     # two centimetres are asked for, one is there
@@ -140,13 +140,13 @@ def test_bodies_that_are_near_wherever_the_joints_are_are_an_error_that_says_wha
     assert check_cell(written(tmp_path, 0.095, "gate: {self_stop_distance_m: 0.005}\n")).ok
 
 
-def test_a_name_that_is_none_is_an_error_at_its_place(tmp_path: Path) -> None:
+def test_an_unknown_name_is_an_error_with_its_line(tmp_path: Path) -> None:
     (problem,) = check_cell(written(tmp_path, 0.05, "    never_checked:\n    - [one, tree]\n")).problems
     assert (problem.field, problem.suggestion) == ("robots.r.never_checked.0.1", "three")
     assert problem.line == len(CELL.splitlines()) + 2
 
 
-def test_bodies_that_a_joint_brings_together_are_a_warning_with_range_and_depth(tmp_path: Path) -> None:
+def test_colliding_bodies_within_a_joint_range_are_a_warning_with_range_and_depth(tmp_path: Path) -> None:
     # two balls on either side of a hinge, 0.24 m from it, meet where it is folded
     def link(name: str, x: float) -> str:
         ball = BALL.format(radius=0.1).replace("<collision>", f'<collision><origin xyz="{x} 0 0"/>')

@@ -70,7 +70,7 @@ def test_a_description_without_hulls_is_refused_where_the_meshes_are_not_found(
         robots_told(description, message.urdf, {})
 
 
-def test_hulls_that_are_none_are_refused_by_name(package: Path, tmp_path: Path) -> None:
+def test_invalid_hulls_are_refused_by_name(package: Path, tmp_path: Path) -> None:
     message = CellModel.load(write_cell(tmp_path)).description_message()
     flat = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 1.0, 0.0))
     with pytest.raises(RobotModelError, match="body 'Fore': no convex hull of 4 points that lie in a plane"):
@@ -95,7 +95,7 @@ def test_a_flat_mesh_is_an_error_that_names_the_link(package: Path, tmp_path: Pa
     assert "link 'pedestal', body 'pedestal': no convex hull of" in problem.message
 
 
-def test_a_joint_without_end_has_the_cells_limits(package: Path, tmp_path: Path) -> None:
+def test_a_continuous_joint_takes_the_limits_of_the_cell(package: Path, tmp_path: Path) -> None:
     arm = CellModel.load(write_cell(tmp_path)).robots["arm_0"]
     np.testing.assert_allclose(np.rad2deg([arm.lower[0], arm.upper[0]]), [-170, 170])
     turned = arm.forward([np.pi / 2, 1.0, 0.2])[:3, 3] - arm.T_world_base[:3, 3]
@@ -122,7 +122,7 @@ def test_a_locked_joint_and_the_one_that_mimics_it_stay_where_they_are(package: 
         ("{}", "joints", "expected pan, lift, Reach, jaw, other_jaw; got pan, lift, Reach"),
     ],
 )
-def test_a_joint_that_cannot_be_locked_is_told_with_its_place(
+def test_a_joint_that_cannot_be_locked_is_reported_with_its_line(
     package: Path, tmp_path: Path, locks: str, field: str, message: str
 ) -> None:
     file = write_cell(tmp_path)
@@ -134,7 +134,7 @@ def test_a_joint_that_cannot_be_locked_is_told_with_its_place(
         CellModel.load(file)
 
 
-def test_a_mimicking_joint_may_be_moved_as_one_of_the_robots_own(package: Path, tmp_path: Path) -> None:
+def test_a_mimicking_joint_may_be_driven_as_a_joint_of_its_own(package: Path, tmp_path: Path) -> None:
     file = write_cell(tmp_path)
     jaws = "".join(
         f"\n      {name}: {{home_m: 0.01, lower_m: 0, upper_m: 0.04, max_velocity_m_s: 0.1, max_acceleration_m_s2: 1}}"
@@ -147,7 +147,7 @@ def test_a_mimicking_joint_may_be_moved_as_one_of_the_robots_own(package: Path, 
     assert check_cell(file).ok
 
 
-def test_a_model_beside_the_cells_file_brings_its_package_along(tmp_path: Path) -> None:
+def test_a_model_beside_the_cell_file_resolves_its_own_package(tmp_path: Path) -> None:
     write_package(tmp_path)
     cell = CellModel.load(write_cell(tmp_path, model=f"{PACKAGE}/arm.urdf"))
     assert len(cell.robots["arm_0"].hulls) == 3

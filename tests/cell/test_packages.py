@@ -49,7 +49,7 @@ def test_python_packages_that_ship_models_are_found(tmp_path: Path, monkeypatch:
     assert find_file("package://arm_models/link.stl") == module
 
 
-def test_a_name_without_a_scheme_is_taken_from_the_models_folder(tmp_path: Path) -> None:
+def test_a_name_without_a_scheme_is_relative_to_the_model(tmp_path: Path) -> None:
     mesh = put(tmp_path, "robot", "meshes", "link.stl")
     assert find_file("meshes/link.stl", tmp_path / "robot") == mesh
     (tmp_path / "robot" / "urdf").mkdir()
@@ -80,7 +80,7 @@ def test_a_missing_file_is_reported_with_the_tried_paths_and_the_remedy(
         find_file(name, tmp_path)
 
 
-def test_a_relative_name_without_a_folder_is_not_looked_for_where_the_process_happens_to_run(
+def test_a_relative_name_is_not_searched_in_the_working_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "link.stl").write_text("solid")

@@ -243,14 +243,14 @@ def drawn(request):
 
 
 @pytest.mark.by_day(4)
-def test_planes_show_exactly_the_room_that_their_formulas_give(drawn):
+def test_planes_give_the_clearance_of_their_formula(drawn):
     scene, normals, rooms = drawn
     most = rooms.max(axis=1)
     assert all(scene.keeps(PAIRS, normals, FAR, most - 1e-9))
     assert not any(scene.keeps(PAIRS, normals, FAR, most + 1e-9))
 
 
-def test_each_pair_is_judged_for_itself(drawn):
+def test_each_pair_is_judged_independently(drawn):
     scene, normals, rooms = drawn
     every_second = np.arange(len(PAIRS)) % 2
     asked = rooms.max(axis=1) + np.where(every_second, -1e-9, 1e-9)
@@ -260,7 +260,7 @@ def test_each_pair_is_judged_for_itself(drawn):
         assert alone == [bool(every_second[index])]
 
 
-def test_bodies_that_are_too_near_at_the_middle_are_not_looked_at_along_planes(drawn):
+def test_bodies_too_near_at_the_midpoint_skip_the_plane_test(drawn):
     scene, normals, rooms = drawn
     asked = np.maximum(rooms.max(axis=1), 0.0) - 1e-9
     kept = scene.keeps(PAIRS, normals, asked - 1e-6, asked)

@@ -63,7 +63,7 @@ def all_groups(proximity):
     return [*proximity.alone["fr"], *proximity.alone["gr"], *proximity.between["fr", "gr"]]
 
 
-def test_every_body_is_inflated_by_how_far_it_travels_and_for_its_own_robot_by_what_moves_it_alone(by_coal):
+def test_a_body_is_inflated_by_its_travel_and_within_its_robot_by_the_relative_travel(by_coal):
     q, half = drawn(1)
     travels = {}
     for name in q:
@@ -80,7 +80,7 @@ def test_every_body_is_inflated_by_how_far_it_travels_and_for_its_own_robot_by_w
             assert near.distance_m - near.swept_m == pytest.approx(first.sum() + second.sum(), abs=1e-9)
 
 
-def test_in_a_place_without_width_what_is_measured_is_what_an_oracle_measures(by_coal):
+def test_at_a_single_configuration_distances_agree_with_the_independent_checker(by_coal):
     q, _ = drawn(2)
     oracle = ClearanceOracle(CELL)
     for name in q:
@@ -108,7 +108,7 @@ def test_between_two_robots_the_same_pairs_are_checked_in_either_order(by_coal):
     assert pairs == {("fr", "gr"): every, ("gr", "fr"): every}
 
 
-def test_bodies_are_inflated_against_each_other_too_by_how_far_they_travel(by_coal):
+def test_both_bodies_of_a_pair_are_inflated_by_their_travel(by_coal):
     q, half = drawn(3)
     by_coal.place("fr", q["fr"], half["fr"])
     own = next(g for g in by_coal.alone["fr"] if g.pairs[0][1].name.startswith("fr"))
@@ -130,7 +130,7 @@ def test_bodies_are_inflated_against_each_other_too_by_how_far_they_travel(by_co
 LENS_IN_THE_FLOOR = np.radians([162.0, -5.0, 60.0, 247.0, -41.0, -97.0])
 
 
-def test_a_body_that_is_deeper_in_another_than_it_is_thick_is_still_asked_how_deep_it_is(proximity):
+def test_penetration_deeper_than_the_thickness_of_a_body_is_measured(proximity):
     """The middle of the ball around it lies within the box around the other then."""
     proximity.place("fr", LENS_IN_THE_FLOOR, STILL["fr"])
     tool = next(
@@ -154,7 +154,7 @@ def screened(proximity, groups):
     return proximity._found.room_m[: len(every)].copy()
 
 
-def test_the_screen_says_of_no_body_that_is_deep_in_another_that_it_is_less_deep(proximity):
+def test_the_screen_never_understates_a_penetration(proximity):
     proximity.place("fr", LENS_IN_THE_FLOOR, STILL["fr"])
     groups = proximity.alone["fr"]
     for index, bound_m in enumerate(screened(proximity, groups)):
@@ -162,14 +162,14 @@ def test_the_screen_says_of_no_body_that_is_deep_in_another_that_it_is_less_deep
         assert bound_m <= nearest.swept_m - stop_m + 1e-6
 
 
-def test_a_screen_spares_most_of_the_work(proximity):
+def test_the_screen_saves_most_distance_queries(proximity):
     for name, q in HOMES.items():
         proximity.place(name, q, STILL[name])
     rooms = np.concatenate([screened(proximity, groups) for groups in proximity.alone.values()])
     assert np.mean(rooms > 0.1) > 0.5
 
 
-def test_the_tightest_pair_is_told_with_its_room_whether_or_not_it_fails(proximity):
+def test_the_tightest_pair_is_reported_with_its_clearance_even_if_it_passes(proximity):
     for name, q in HOMES.items():
         proximity.place(name, q, STILL[name])
     groups = proximity.alone["fr"]
@@ -180,7 +180,7 @@ def test_the_tightest_pair_is_told_with_its_room_whether_or_not_it_fails(proximi
         assert len(look.failing) == sum(room < room_m for room in rooms)
 
 
-def test_bodies_too_near_at_the_middle_are_told_apart_from_those_that_might_come_near(proximity):
+def test_bodies_too_near_at_the_midpoint_are_distinguished_from_possible_approaches(proximity):
     q, half = drawn(1)
     group = proximity.alone["fr"][0]
     proximity.place("fr", q["fr"], half["fr"])
@@ -194,7 +194,7 @@ def test_bodies_too_near_at_the_middle_are_told_apart_from_those_that_might_come
     assert (within.failing, within.too_near) == ([], False)
 
 
-def test_a_pair_is_measured_for_itself_at_a_distance_of_its_own(proximity):
+def test_each_pair_has_a_minimum_distance_of_its_own(proximity):
     q, half = drawn(6)
     proximity.place("fr", q["fr"], half["fr"])
     group = next(g for g in proximity.alone["fr"] if len(g.pairs) > 2)
@@ -211,7 +211,7 @@ def test_a_pair_is_measured_for_itself_at_a_distance_of_its_own(proximity):
         assert group.stop_distance_m == GATE.stop_distance_m
 
 
-def test_a_pair_alone_is_looked_at_with_its_own_planes(proximity):
+def test_a_single_pair_is_checked_with_its_own_planes(proximity):
     """The room that planes show of a group is the least of what they show of its pairs."""
     q, _ = drawn(7)
     direction = 0.05 * np.sign(np.random.default_rng(7).normal(size=6))
@@ -231,7 +231,7 @@ def test_a_pair_alone_is_looked_at_with_its_own_planes(proximity):
     assert room([group]) > proximity.least(group) - group.stop_distance_m + 1e-3
 
 
-def test_pairs_are_left_out_wherever_they_are_looked_at_and_taken_in_again(proximity):
+def test_omitted_pairs_are_omitted_in_every_query_and_can_be_restored(proximity):
     for name, q in HOMES.items():
         proximity.place(name, q, STILL[name])
     one, other = "gr/link_3", "fr/link_1"
@@ -249,7 +249,7 @@ def test_pairs_are_left_out_wherever_they_are_looked_at_and_taken_in_again(proxi
     assert looked_at() == 2
 
 
-def test_where_every_pair_is_left_out_a_look_finds_nothing(proximity):
+def test_with_every_pair_omitted_a_query_finds_nothing(proximity):
     groups = proximity.between["fr", "gr"]
     for name, q in HOMES.items():
         proximity.place(name, q, STILL[name])
@@ -259,7 +259,7 @@ def test_where_every_pair_is_left_out_a_look_finds_nothing(proximity):
 
 
 @pytest.mark.parametrize("robot", ["fr", "gr"])
-def test_an_approach_tells_how_each_joint_changes_a_distance(proximity, robot):
+def test_an_approach_gives_the_change_of_a_distance_by_each_joint(proximity, robot):
     q, _ = drawn(8)
     for name in q:
         proximity.place(name, q[name], STILL[name])

@@ -140,7 +140,7 @@ def test_pairs_that_touch_by_construction_are_never_checked() -> None:
     assert ("fr/link_4", "fr/link_6") not in never
 
 
-def test_of_a_gantry_the_portal_is_what_stands_on_the_rails() -> None:
+def test_the_portal_of_a_gantry_is_the_link_on_the_rails() -> None:
     never = RobotModel(describe("kr16_gantry", mounted_on=["rail"]), "gr").never_checked_pairs()
     with_rail = {a for a, b in never if b == "structure/rail"}
     assert with_rail == {

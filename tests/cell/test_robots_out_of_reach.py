@@ -51,7 +51,7 @@ def test_a_ball_is_not_much_larger_than_the_arm():
     assert not reach.slides.any()
 
 
-def test_a_prismatic_joint_adds_its_way():
+def test_a_prismatic_joint_adds_its_travel():
     reach = compiled_proximity("lab").reach["gr"]
     out = np.array([0.5, 4.0, 1.0, *np.full(6, 3.0)])
     added = reach.radius_m(out) - reach.radius_m(np.zeros(9))
@@ -69,7 +69,7 @@ def in_a_row(folder: Path, distance_m):
 
 
 @pytest.mark.long
-def test_robots_that_are_told_to_be_apart_are_and_neighbours_are_not_told_so(tmp_path):
+def test_only_robots_out_of_each_others_reach_are_declared_apart(tmp_path):
     far, near = in_a_row(tmp_path, 6.0), in_a_row(tmp_path, 2.2)
     assert apart_m(near.reach["r0"], near.reach["r1"]) < 0.0
     bound = apart_m(far.reach["r0"], far.reach["r1"])

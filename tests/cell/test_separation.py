@@ -56,7 +56,7 @@ def greatest_room(proximity, group):
 @pytest.mark.long
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(0, 2**32 - 1))
-def test_no_sample_of_a_span_is_nearer_than_a_look_shows(cell, proximity, seed):
+def test_no_sample_of_a_span_is_nearer_than_the_query_says(cell, proximity, seed):
     random = np.random.default_rng(seed)
     spans = {name: span(robot, random) for name, robot in cell.robots.items()}
     for name, where in spans.items():
@@ -78,7 +78,7 @@ def test_no_sample_of_a_span_is_nearer_than_a_look_shows(cell, proximity, seed):
 
 @pytest.mark.by_day(2)
 @pytest.mark.long
-def test_planes_show_what_inflated_bodies_do_not(cell, proximity):
+def test_planes_clear_pairs_that_inflated_bodies_cannot(cell, proximity):
     """Or the test above would hold for want of anything to judge."""
     random = np.random.default_rng(0)
     shown = []
@@ -91,7 +91,7 @@ def test_planes_show_what_inflated_bodies_do_not(cell, proximity):
     assert np.mean(shown) > 0.1
 
 
-def test_sliding_along_a_body_costs_no_room(proximity, cell):
+def test_sliding_along_a_body_costs_no_clearance(proximity, cell):
     """A prismatic joint that moves a robot past the floor brings it no nearer, however far it goes."""
     name = next(iter(cell.robots))
     robot = cell.robots[name]

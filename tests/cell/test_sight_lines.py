@@ -41,7 +41,7 @@ def on_the_line(
     return found
 
 
-def test_a_line_passes_the_bodies_that_all_of_them_measured_say(lab: CellModel) -> None:
+def test_a_sight_line_passes_the_same_bodies_as_exhaustive_measurement(lab: CellModel) -> None:
     lines, random = SightLines(lab), np.random.default_rng(0)
     passed = 0
     for _ in range(150):
@@ -54,7 +54,7 @@ def test_a_line_passes_the_bodies_that_all_of_them_measured_say(lab: CellModel) 
     assert passed > 20, "many lines pass something"
 
 
-def test_bodies_are_told_from_the_eye_on(lab: CellModel) -> None:
+def test_bodies_are_listed_from_the_eye_outwards(lab: CellModel) -> None:
     lines = SightLines(lab)
     there = lines.blocked_by(np.array([-0.04, 0.0, 0.8]), np.array([-0.04, -2.34, 0.8]))
     back = lines.blocked_by(np.array([-0.04, -3.0, 0.8]), np.array([-0.04, 0.0, 0.8]))

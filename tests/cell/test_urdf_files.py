@@ -137,7 +137,7 @@ def collada(unit: str, scale: float) -> str:
         ('lower="-2.6"', 'lower="nan"', "joint 'j1': its limit lower is not a number"),
     ],
 )  # fmt: skip
-def test_a_number_that_cannot_be_is_refused_by_name(tmp_path: Path, was: str, now: str, message: str) -> None:
+def test_an_impossible_number_is_refused_by_name(tmp_path: Path, was: str, now: str, message: str) -> None:
     with pytest.raises(RobotModelError, match=message):
         CellModel.load(cell(tmp_path, arm().replace(was, now, 1), ("j1", "j2", "j3", "j4")))
 
@@ -168,12 +168,12 @@ def test_meshes_far_smaller_than_the_robot_are_an_error(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("unit", ["0", "-1", "nan", "a metre"])
-def test_a_mesh_of_no_unit_is_refused(tmp_path: Path, unit: str) -> None:
+def test_a_mesh_with_an_invalid_unit_is_refused(tmp_path: Path, unit: str) -> None:
     (tmp_path / "m.dae").write_text(collada(f'<unit meter="{unit}"/>', 1))
     assert "m.dae cannot be read" in told(tmp_path, arm(shape='<mesh filename="m.dae"/>'))
 
 
-def test_a_mesh_at_whose_indices_assimp_would_never_end_is_refused(tmp_path: Path) -> None:
+def test_mesh_indices_that_hang_assimp_are_refused(tmp_path: Path) -> None:
     (tmp_path / "m.dae").write_text(collada("", 1).replace("7 6 0 2", "7 inf 0 2"))
     assert "m.dae cannot be read: <p> has what is no index" in told(
         tmp_path, arm(shape='<mesh filename="m.dae"/>')
@@ -181,7 +181,7 @@ def test_a_mesh_at_whose_indices_assimp_would_never_end_is_refused(tmp_path: Pat
 
 
 @pytest.mark.parametrize("by", [np.diag([0.9, 0.9, 0.9]), np.diag([1.0, 1.0, -1.0]), np.full((3, 3), np.nan)])
-def test_a_placement_that_is_no_rotation_is_refused_by_name(by: np.ndarray) -> None:
+def test_a_placement_with_an_invalid_rotation_is_refused_by_name(by: np.ndarray) -> None:
     model = pin.buildModelFromXML(arm(3))
     check_rotations(model, [], [np.zeros(2)], "arm.urdf")
     model.jointPlacements[2] = pin.SE3(by, np.zeros(3))
@@ -189,12 +189,12 @@ def test_a_placement_that_is_no_rotation_is_refused_by_name(by: np.ndarray) -> N
         check_rotations(model, [], [np.zeros(2)], "arm.urdf")
 
 
-def test_a_body_that_urdfdom_drops_without_a_word_is_an_error(tmp_path: Path) -> None:
+def test_a_body_silently_dropped_by_urdfdom_is_an_error(tmp_path: Path) -> None:
     text = arm().replace('<link name="l2">', '<link name="l2"><inertial><mass value="1"/></inertial>')
     assert "link 'l2': 0 of its 1 collision bodies can be read" in told(tmp_path, text)
 
 
-def test_an_urdf_that_is_nested_without_end_is_refused_in_a_line(tmp_path: Path) -> None:
+def test_endless_nesting_of_a_urdf_is_refused_in_one_line(tmp_path: Path) -> None:
     message = told(tmp_path, "<robot>" + "<a>" * 50_000 + "</a>" * 50_000 + "</robot>")
     assert message.endswith("line 1: more than 100 elements within one another")
 
@@ -246,7 +246,7 @@ def test_the_unit_of_a_collada_mesh_is_applied(tmp_path: Path, unit: str, scale:
     assert extent(body) == pytest.approx(0.3, abs=1e-6)
 
 
-def test_an_axis_that_rounding_has_lengthened_is_normalised(tmp_path: Path) -> None:
+def test_an_axis_lengthened_by_rounding_is_normalised(tmp_path: Path) -> None:
     text = arm().replace('xyz="0 1 0"', 'xyz="0 1.0003 0"', 1).replace('xyz="0 1 0"', 'xyz="0 70 0"', 1)
     robot = CellModel.load(cell(tmp_path, text, ("j1", "j2", "j3", "j4"))).robots["r"]
     np.testing.assert_allclose(
@@ -263,7 +263,7 @@ def test_bodies_whose_names_clash_get_numbers(tmp_path: Path) -> None:
     assert names(cell(tmp_path, alike, ("j1", "j2"))) == ["r/l0", "r/l1_l1", "r/l1_l1_2", "r/l1_1"]
 
 
-def test_names_are_read_as_they_are_written_and_extensions_are_passed_over(tmp_path: Path) -> None:
+def test_names_are_read_verbatim_and_unknown_extensions_are_ignored(tmp_path: Path) -> None:
     extension = (
         '<gazebo><link name="l1"/><sensor:camera/></gazebo><xacro:link name="l9"/>'
         '<transmission><joint name="j1"/></transmission>'
@@ -280,7 +280,7 @@ def test_names_are_read_as_they_are_written_and_extensions_are_passed_over(tmp_p
 
 
 @pytest.mark.parametrize("encoding", ["ISO-8859-1", "windows-1252", "UTF-16", "utf-8-sig"])
-def test_an_urdf_is_read_in_the_encoding_that_it_declares(tmp_path: Path, encoding: str) -> None:
+def test_a_urdf_is_read_in_its_declared_encoding(tmp_path: Path, encoding: str) -> None:
     declared = "" if encoding == "utf-8-sig" else f' encoding="{encoding}"'
     text = f'<?xml version="1.0"{declared}?>' + arm(3).replace("l1", "längs")
     robot = CellModel.load(cell(tmp_path, text.encode(encoding), ("j1", "j2"))).robots["r"]
@@ -305,7 +305,7 @@ def test_a_robot_of_one_joint_is_guarded(tmp_path: Path) -> None:
     assert 0.5 < virtual.arms["r"].q[0] < 2.0
 
 
-def test_joints_that_mimic_a_mimic_of_a_locked_joint_stay_where_it_puts_them(tmp_path: Path) -> None:
+def test_chained_mimics_of_a_locked_joint_stay_fixed(tmp_path: Path) -> None:
     mimics = {"j3": 'joint="j2" multiplier="-2" offset="0.1"', "j4": 'joint="j3" multiplier="0.5"'}
     text = mimicking(arm(), mimics)
     robot = CellModel.load(cell(tmp_path, text, ("j1",), "    locked_joints: {j2: 0.3}\n")).robots["r"]
@@ -314,7 +314,7 @@ def test_joints_that_mimic_a_mimic_of_a_locked_joint_stay_where_it_puts_them(tmp
     np.testing.assert_allclose(last.placement.rotation[0, 2], np.sin(angle), atol=1e-12)
 
 
-def test_joints_are_in_the_order_that_the_page_gives(tmp_path: Path) -> None:
+def test_joints_have_the_documented_order(tmp_path: Path) -> None:
     links = "".join(link(name) for name in ("r", "x", "y", "z"))
     joints = joint("b", "r", "x") + joint("a", "x", "y") + joint("B", "r", "z")
     text = f'<robot name="t">{links}{joints}</robot>'
@@ -403,7 +403,7 @@ def boxes(model: pin.Model, geometry: pin.GeometryModel, q: np.ndarray) -> dict[
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("urdf", PUBLIC, ids=lambda file: file.stem)
-def test_a_public_urdf_is_guarded_as_pinocchio_places_it_or_refused_with_a_line(urdf: Path) -> None:
+def test_a_public_urdf_agrees_with_pinocchio_or_is_refused_in_one_line(urdf: Path) -> None:
     try:
         robot = RobotModel(described(urdf), "r")
         assert robot.never_checked is not None

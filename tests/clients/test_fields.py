@@ -88,7 +88,7 @@ def _pumped(source: socket.socket, sink: socket.socket) -> Iterator[bytes]:
 
 @pytest.mark.service
 @pytest.mark.parametrize("language", LANGUAGES, ids=lambda language: language.name)
-def test_every_line_that_it_says_is_valid_by_the_exported_schema(language: Language) -> None:
+def test_every_sent_line_is_valid_by_the_exported_schema(language: Language) -> None:
     if why_not := language.why_not():
         pytest.skip(why_not)
     with Server() as server:
@@ -116,7 +116,7 @@ def test_every_line_that_it_says_is_valid_by_the_exported_schema(language: Langu
 
 @pytest.mark.long
 @pytest.mark.parametrize("language", LANGUAGES, ids=lambda language: language.name)
-def test_every_field_that_it_reads_is_one_of_the_exported_schema(language: Language) -> None:
+def test_every_read_field_is_in_the_exported_schema(language: Language) -> None:
     kinds = ("welcome", "challenge", "state", "verdict", "lease", "error", "description")
     known = set().union(*(fields(kind) for kind in kinds)) | {"code", "what", "value", "bound"}
     text = "\n".join(map(_without_comments, language.sources))

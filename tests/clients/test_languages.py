@@ -76,7 +76,7 @@ def test_it_turns_a1_by_ten_degrees_and_gives_the_lease_back(language: Language,
     assert server.peer.commands.empty()
 
 
-def test_it_ends_at_a_robot_that_is_held_and_says_why(language: Language, server: Server) -> None:
+def test_a_held_robot_ends_the_program_with_the_reason(language: Language, server: Server) -> None:
     server.peer.phases["fr"], server.peer.reasons["fr"] = Phase.HELD, ReasonCode.CONTROLLER_LOST
     done = run(language, language.turn_a1(server.description.tcp_port))
     assert (
@@ -84,7 +84,7 @@ def test_it_ends_at_a_robot_that_is_held_and_says_why(language: Language, server
     )
 
 
-def test_octave_reckons_with_what_is_in_flight_in_a_cell_with_a_lookahead() -> None:
+def test_octave_counts_increments_in_flight_in_a_cell_with_a_lookahead() -> None:
     """Left out of account, what is in flight would be asked for again, and the robot would go too far."""
     octave = LANGUAGES[0]
     if why_not := octave.why_not():
@@ -97,7 +97,7 @@ def test_octave_reckons_with_what_is_in_flight_in_a_cell_with_a_lookahead() -> N
     assert largest <= math.radians(30) * server.description.cycle_s + 1e-12
 
 
-def test_it_turns_a1_from_far_away_with_what_waits_for_its_turn_reckoned_with(language: Language) -> None:
+def test_it_turns_a1_through_a_jitter_buffer_counting_queued_increments(language: Language) -> None:
     """Left out of account, what waits would be asked for again, and the robot would go too far."""
     with ExitStack() as served:
         server, port = served.enter_context(Server()), free_port()
@@ -124,7 +124,7 @@ def test_a_client_that_computes_longer_than_the_greatest_age_is_not_refused(
     assert server.hli.status().robots["fr"].lease.holder is None
 
 
-def test_verdicts_that_never_come_are_not_waited_for(language: Language, server: Server) -> None:
+def test_lost_verdicts_do_not_block_the_program(language: Language, server: Server) -> None:
     server.peer.judges = False
     # what a busy machine lets come too late the HLI refuses by itself
     assert set(answers(language, server, "fr", 0.0, 40)) <= {"refused"}
@@ -139,7 +139,7 @@ def test_a_client_that_computes_until_its_lease_expires_gets_an_error(
     assert "the lease of fr has run out" in refusal(language, done)
 
 
-def test_a_server_that_goes_is_one_clear_line(language: Language) -> None:
+def test_a_lost_server_gives_one_clear_line(language: Language) -> None:
     with ExitStack() as served:
         server = served.enter_context(Server())
         command = language.answers(server.description.tcp_port, "fr", 0.0, 1_000_000)
@@ -163,7 +163,7 @@ def test_a_port_without_a_listener_gives_one_clear_line(language: Language) -> N
     assert "127.0.0.1:1" in refusal(language, run(language, language.turn_a1(1)))
 
 
-def test_a_wrong_token_is_one_clear_line_and_the_right_one_is_taken_from_the_environment(
+def test_a_wrong_token_gives_one_clear_line_and_the_environment_gives_the_right_one(
     language: Language,
 ) -> None:
     with Server("the operator's", "right") as server:
@@ -175,7 +175,7 @@ def test_a_wrong_token_is_one_clear_line_and_the_right_one_is_taken_from_the_env
         answers(language, server, "fr", 0.0, 1, DELTAQ_CLIENT_TOKEN="right")
 
 
-def test_a_token_comes_from_a_file_and_one_that_gives_none_is_one_clear_line(
+def test_a_token_is_read_from_a_file_and_an_empty_file_gives_one_clear_line(
     language: Language, tmp_path: Path
 ) -> None:
     right, empty, missing = (tmp_path / name for name in ("right", "empty", "missing"))
@@ -195,12 +195,12 @@ def test_a_token_comes_from_a_file_and_one_that_gives_none_is_one_clear_line(
             assert re.search(f"DELTAQ_CLIENT_TOKEN_FILE: {file} {why}", line)
 
 
-def test_a_robot_that_the_cell_does_not_have_is_one_clear_line(language: Language, server: Server) -> None:
+def test_an_unknown_robot_gives_one_clear_line(language: Language, server: Server) -> None:
     done = run(language, language.answers(server.description.tcp_port, "xy", 0.0, 1))
     assert re.search("cell small has no robot 'xy'; it has fr,? gr", refusal(language, done))
 
 
-def test_a_server_that_tells_no_kinematics_is_one_clear_line(server: Server) -> None:
+def test_a_server_without_kinematics_gives_one_clear_line(server: Server) -> None:
     octave = LANGUAGES[0]
     if why_not := octave.why_not():
         pytest.skip(why_not)
@@ -208,7 +208,7 @@ def test_a_server_that_tells_no_kinematics_is_one_clear_line(server: Server) -> 
     assert "the server of cell small tells no kinematics" in refusal(octave, done)
 
 
-def test_a_lease_that_another_holds_is_one_clear_line(language: Language, server: Server) -> None:
+def test_a_lease_of_another_client_gives_one_clear_line(language: Language, server: Server) -> None:
     with connect(server.description.hli, client="first") as cell, cell.lease("fr"):
         done = run(language, language.turn_a1(server.description.tcp_port))
         line = refusal(language, done)

@@ -104,9 +104,7 @@ def panels_in(node: Any) -> Iterator[str]:
         ("deltaq/{cell}/{robot}/state.q", "state.q"),
     ],
 )
-def test_a_path_that_no_recording_has_is_found_out(
-    cell: str, recorded: Messages, path: str, told: str
-) -> None:
+def test_a_path_missing_from_recordings_is_found(cell: str, recorded: Messages, path: str, told: str) -> None:
     with pytest.raises(AssertionError, match=re.escape(told)):
         resolve(path.format(cell=cell, robot={"lab": "fr"}.get(cell, cell)), recorded)
 
@@ -131,6 +129,6 @@ def test_the_view_shows_frames_that_a_recording_has(committed: dict[str, Any], r
     assert parents == {view["followTf"]} == {view["layers"]["grid"]["frameId"]}
 
 
-def test_every_panel_has_a_place_and_every_place_a_panel(committed: dict[str, Any]) -> None:
+def test_panels_and_layout_places_correspond(committed: dict[str, Any]) -> None:
     placed = list(panels_in(committed["layout"]))
     assert sorted(placed) == sorted(committed["configById"])

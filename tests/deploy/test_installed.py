@@ -31,7 +31,7 @@ def missing(installed: Installed) -> set[str]:
 
 
 @pytest.mark.nightly
-def test_a_bare_install_is_the_client_alone_and_the_client_is_complete(bare: Installed) -> None:
+def test_a_bare_install_contains_the_complete_client_and_nothing_else(bare: Installed) -> None:
     assert missing(bare) == HEAVY
     code = "from deltaq_protocol import connect, blocking; import deltaq_protocol as p; print(p.__file__)"
     done = bare.run("python", "-c", code)
@@ -41,7 +41,9 @@ def test_a_bare_install_is_the_client_alone_and_the_client_is_complete(bare: Ins
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("words", [(), ("--help",), ("status",), ("up", "--cell", "lab")], ids=" ".join)
-def test_the_command_of_a_bare_install_says_what_to_install(bare: Installed, words: tuple[str, ...]) -> None:
+def test_the_command_of_a_bare_install_names_the_extra_to_install(
+    bare: Installed, words: tuple[str, ...]
+) -> None:
     done = bare.run("deltaq", *words)
     assert done.returncode == 2
     assert done.stdout == ""
@@ -59,14 +61,14 @@ def test_a_complete_install_lacks_nothing_and_checks_a_cell(complete: Installed)
 
 
 @pytest.mark.nightly
-def test_an_install_for_training_has_what_the_environment_imports(wheel: Path, tmp_path: Path) -> None:
+def test_the_training_extra_installs_the_imports_of_the_environment(wheel: Path, tmp_path: Path) -> None:
     training = install(wheel, tmp_path / "venv", "gymnasium")
     done = training.run("python", "-c", "import deltaq_experiments.training.environment")
     assert done.returncode == 0, done.stderr
     assert "mcap" in missing(training)
 
 
-def test_without_gymnasium_the_environment_says_what_to_install() -> None:
+def test_without_gymnasium_the_environment_names_the_extra_to_install() -> None:
     code = "import sys; sys.modules['gymnasium'] = None; import deltaq_experiments.training"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 1
@@ -75,7 +77,7 @@ def test_without_gymnasium_the_environment_says_what_to_install() -> None:
     )
 
 
-def test_a_part_of_deltaq_that_is_missing_is_no_matter_of_extras() -> None:
+def test_a_missing_module_of_deltaq_is_not_reported_as_a_missing_extra() -> None:
     code = "import sys; sys.modules['deltaq_deploy.command.app'] = None; import deltaq_deploy.command as c; c.main()"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 1
@@ -92,7 +94,7 @@ def test_pytest_finds_the_plug_in_of_an_installed_wheel(complete: Installed, tmp
     assert "@pytest.mark.deltaq(cell='lab', robot=None, seed=0)" in listed.stdout, listed.stderr
 
 
-def test_every_extra_for_users_is_named_where_installing_is_explained() -> None:
+def test_the_install_page_names_every_user_extra() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = set(project["optional-dependencies"]) - {"dev", "docs"}
     named = re.findall(r"deltaq\[(\w+)\]", INSTALL_PAGE.read_text(encoding="utf-8"))

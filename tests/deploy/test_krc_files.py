@@ -54,7 +54,7 @@ def expected_limits(robot: RobotDescription, start: Start) -> dict[str, tuple[fl
 
 
 @pytest.mark.parametrize("robot", ["fr", "gr"])
-def test_the_shipped_file_is_what_the_command_writes(robot: str) -> None:
+def test_the_shipped_file_agrees_with_the_output_of_the_command(robot: str) -> None:
     _, texts = written("lab", robot, address="192.168.10.10")
     name = f"{robot}_ethernet.xml"
     assert texts[name] == (SHIPPED / name).read_text(encoding="utf-8"), (
@@ -63,7 +63,7 @@ def test_the_shipped_file_is_what_the_command_writes(robot: str) -> None:
 
 
 @each_cell
-def test_the_judge_has_nothing_to_say_of_what_is_written(cell: str, robot: str, rsi: int | None) -> None:
+def test_written_files_pass_the_check_without_findings(cell: str, robot: str, rsi: int | None) -> None:
     description = load_cell(cell).robots[robot]
     plan, texts = written(cell, robot, rsi=rsi, address="192.168.10.10")
     driver = description.driver
@@ -82,7 +82,7 @@ def test_the_judge_has_nothing_to_say_of_what_is_written(cell: str, robot: str, 
 
 @each_start
 @pytest.mark.parametrize("robot", ["fr", "gr"])
-def test_the_limits_of_a_context_are_the_cells(robot: str, start: Start) -> None:
+def test_a_context_has_the_limits_of_the_cell(robot: str, start: Start) -> None:
     plan, texts = written("lab-4ms", robot, start=start)
     context = parse_context(texts[f"{plan.program}.rsi.xml"], "context")
     (arm,), (monitor,) = context.of_kind("AXISCORR"), context.of_kind("AXISCORRMON")
@@ -102,7 +102,7 @@ def test_the_limits_of_a_context_are_the_cells(robot: str, start: Start) -> None
 
 @each_start
 @pytest.mark.parametrize("robot", ["fr", "gr"])
-def test_the_limits_of_a_kr_c2_program_are_the_cells(robot: str, start: Start) -> None:
+def test_a_kr_c2_program_has_the_limits_of_the_cell(robot: str, start: Start) -> None:
     plan, texts = written("lab", robot, start=start)
     calls = re.findall(r"ST_SETPARAM\(hAxis, (\d+), ([-0-9.]+)\)", texts[f"{plan.program}.src"])
     parameters = {int(number): float(value) for number, value in calls}
@@ -117,7 +117,7 @@ def test_the_limits_of_a_kr_c2_program_are_the_cells(robot: str, start: Start) -
 
 
 @pytest.mark.parametrize("robot", ["fr", "gr"])
-def test_the_links_of_a_kr_c2_program_lead_each_channel_to_its_axis(robot: str) -> None:
+def test_a_kr_c2_program_links_each_channel_to_its_axis(robot: str) -> None:
     plan, texts = written("lab", robot)
     text = texts[f"{plan.program}.src"]
     links = re.findall(r"ST_NEWLINK\(hEthernet, (\d+), hAxis, (\d+)\)", text)
@@ -132,7 +132,7 @@ def test_the_links_of_a_kr_c2_program_lead_each_channel_to_its_axis(robot: str) 
 
 @each_cell
 @each_start
-def test_a_program_is_whole_and_declares_what_it_uses(
+def test_a_program_is_complete_and_declares_its_variables(
     cell: str, robot: str, rsi: int | None, start: Start
 ) -> None:
     plan, texts = written(cell, robot, rsi=rsi, start=start)
@@ -162,7 +162,7 @@ def test_a_program_is_whole_and_declares_what_it_uses(
 
 
 @pytest.mark.parametrize(("cell", "robot"), [("lab", "gr"), ("lab-4ms", "fr")])
-def test_the_start_is_the_cells_home_or_where_the_robot_stands(cell: str, robot: str) -> None:
+def test_the_start_is_the_home_of_the_cell_or_the_present_position(cell: str, robot: str) -> None:
     description = load_cell(cell).robots[robot]
     factor = [180 / np.pi if unit == "rad" else 1000.0 for unit in description.units]
     home = dict(zip((n.upper() for n in description.joint_names), description.home * factor, strict=True))
@@ -179,7 +179,7 @@ def test_the_start_is_the_cells_home_or_where_the_robot_stands(cell: str, robot:
 
 
 @pytest.mark.parametrize(("cell", "option"), [("lab-4ms", "#IPO_FAST"), ("lab-12", "#IPO")])
-def test_the_sensor_cycle_is_the_cells(cell: str, option: str, tmp_path: Path) -> None:
+def test_the_sensor_cycle_is_that_of_the_cell(cell: str, option: str, tmp_path: Path) -> None:
     file = tmp_path / "lab-12.yaml"
     file.write_text("extends: lab\nrobots: {fr: {driver: {krc: krc4}}, gr: {driver: {krc: krc4}}}\n")
     plan, texts = written(str(file) if cell == "lab-12" else cell, "fr")
@@ -187,7 +187,7 @@ def test_the_sensor_cycle_is_the_cells(cell: str, option: str, tmp_path: Path) -
     assert 'RSI_CREATE("deltaq_fr.rsi"' in texts["deltaq_fr.src"]
 
 
-def test_reduced_limits_bound_every_axis_and_widen_none() -> None:
+def test_reduced_limits_narrow_every_axis_and_widen_none() -> None:
     plan, _ = written("lab", "gr", limit_deg=5.0, limit_mm=20.0)
     for one in plan.corrections:
         bound = 5.0 if one.unit == "deg" else 20.0
@@ -195,7 +195,7 @@ def test_reduced_limits_bound_every_axis_and_widen_none() -> None:
     assert min(one.lower for one in plan.corrections) == -20.0
 
 
-def test_digital_signals_are_wired_where_their_numbers_were_told() -> None:
+def test_digital_signals_with_given_numbers_are_wired() -> None:
     plan, texts = written("lab-4ms", "gr", digital={"gripper": 12, "tool_locked": 33})
     context = parse_context(texts["deltaq_gr.rsi.xml"], "context")
     (output,), (source,) = context.of_kind("MAP2DIGOUT"), context.of_kind("DIGIN")
@@ -210,7 +210,7 @@ def test_digital_signals_are_wired_where_their_numbers_were_told() -> None:
 
 
 @pytest.mark.parametrize("robot", ["fr", "gr"])
-def test_both_files_of_a_context_say_the_same(robot: str) -> None:
+def test_both_files_of_a_context_agree(robot: str) -> None:
     plan, texts = written("lab-4ms", robot, digital={"gripper": 12} if robot == "gr" else None)
     context = parse_context(texts[f"{plan.program}.rsi.xml"], "context")
     space = {"": "http://schemas.microsoft.com/dsltools/RSIVisual"}
@@ -258,7 +258,7 @@ def test_a_failed_write_is_reported(cell: str, options: dict[str, object], messa
         written(cell, robot, **options)
 
 
-def test_a_tag_that_no_file_can_have_is_refused_before_a_file_is_written() -> None:
+def test_an_invalid_tag_is_refused_before_a_file_is_written() -> None:
     cell = load_cell("lab")
     gr = cell.robots["gr"]
     driver = gr.driver.model_copy(update={"outputs": {"gripper": 'x" />', "tool_changer": "Do.O2"}})
@@ -267,7 +267,7 @@ def test_a_tag_that_no_file_can_have_is_refused_before_a_file_is_written() -> No
         files_of(plan_for(odd, "gr"))
 
 
-def test_a_robot_whose_name_is_too_long_for_krl_is_told() -> None:
+def test_a_robot_name_too_long_for_krl_is_reported() -> None:
     cell = load_cell("lab")
     long = "a" * 30
     odd = cell.model_copy(update={"robots": {long: cell.robots["fr"]}})
@@ -275,7 +275,7 @@ def test_a_robot_whose_name_is_too_long_for_krl_is_told() -> None:
         plan_for(odd, long)
 
 
-def test_files_that_are_there_are_kept_unless_forced(tmp_path: Path) -> None:
+def test_existing_files_are_kept_unless_forced(tmp_path: Path) -> None:
     _, texts = written("lab", "fr")
     files = files_of(plan_for(load_cell("lab"), "fr"))
     (tmp_path / "deltaq_fr.src").write_text("mine")
@@ -287,13 +287,13 @@ def test_files_that_are_there_are_kept_unless_forced(tmp_path: Path) -> None:
     assert {file.name: file.read_text() for file in tmp_path.iterdir()} == texts
 
 
-def test_a_folder_that_is_none_is_told(tmp_path: Path) -> None:
+def test_an_output_that_is_no_folder_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(KrcFilesError, match="cannot be written to"):
         write_files(files_of(plan_for(load_cell("lab"), "fr")), tmp_path / "file")
 
 
-def test_the_command_says_what_to_copy_where(tmp_path: Path) -> None:
+def test_the_command_lists_the_files_to_copy_and_their_destination(tmp_path: Path) -> None:
     command = ["krc", "files", "--cell", "lab", "--robot", "gr", "--output", str(tmp_path), "--json"]
     result = CliRunner().invoke(app, command)
     told = json.loads(result.output)

@@ -41,7 +41,7 @@ def courses_of(robot, lag, cycle_s, lost=(), stuck=()):
     ("robot", "cycle_s", "lost"), [(GR, 0.012, ()), (FR, 0.012, (7, 23)), (FR, 0.004, ())]
 )
 @pytest.mark.parametrize("lag", [ServoLag(), SWINGING])
-def test_it_tells_the_lag_of_each_axis(robot, cycle_s, lost, lag):
+def test_the_sweep_measures_the_lag_of_each_axis(robot, cycle_s, lost, lag):
     true = modelled_lag(lag, cycle_s)
     for courses in courses_of(robot, lag, cycle_s, lost).values():
         measured = measured_axis(courses, cycle_s)
@@ -51,14 +51,14 @@ def test_it_tells_the_lag_of_each_axis(robot, cycle_s, lost, lag):
         assert measured.lag.overshoot == pytest.approx(true.overshoot, abs=0.02)
 
 
-def test_an_axis_that_does_not_follow_is_told_with_what_it_did():
+def test_an_axis_that_does_not_follow_is_reported_with_its_motion():
     courses = courses_of(FR, ServoLag(), 0.012, stuck=[2])
     measured_axis(courses[1], 0.012)
     with pytest.raises(ValueError, match=r"it moved by 0\.000000 instead of 0\.005933"):
         measured_axis(courses[2], 0.012)
 
 
-def test_motions_keep_a_share_of_the_limits_and_head_for_the_middle_of_the_range():
+def test_motions_keep_a_share_of_the_limits_and_start_towards_the_middle_of_the_range():
     for motion in motions(FR, FR.upper, 0.012):
         speed = np.abs(motion.increments).max() / 0.012
         assert speed <= 0.45 * FR.max_velocity[motion.axis]

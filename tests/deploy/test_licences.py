@@ -54,7 +54,7 @@ def declared(name):
     return metadata.get("License-Expression") or " ".join([*first_line, *classifiers])
 
 
-def test_all_that_is_installed_is_looked_at():
+def test_the_licence_check_covers_every_dependency():
     names = closure(*DISTRIBUTED)
     assert {"eaik", "urchin", "scipy", "trimesh"} <= set(names)
     assert {"numpy", "pin", "coal", "eclipse-zenoh", "daqp", "uvicorn", "numba", "llvmlite", "mcap"} <= set(
@@ -64,7 +64,7 @@ def test_all_that_is_installed_is_looked_at():
 
 
 @pytest.mark.parametrize("name", closure(*DISTRIBUTED))
-def test_a_licence_goes_with_ours(name):
+def test_every_licence_is_compatible(name):
     licence = declared(name)
     if name in LOOKED_UP:
         assert not licence or re.search(BOUND, licence), f"{name} says {licence} of itself now"
@@ -76,5 +76,5 @@ def test_a_licence_goes_with_ours(name):
 @pytest.mark.parametrize(
     "licence", ["GPLv2+", "GNU General Public License v2 or later (GPLv2+)", "AGPL-3.0", "SSPL"]
 )
-def test_a_licence_that_claims_what_comes_with_it_is_found(licence):
+def test_a_copyleft_licence_is_found(licence):
     assert re.search(BOUND, licence) or not re.search(GOES_WITH_APACHE, licence)

@@ -68,7 +68,7 @@ def test_the_source_archive_makes_the_same_wheel_as_the_tree(
 
 
 @pytest.mark.nightly
-def test_the_source_archive_has_the_tree_and_nothing_that_was_made(unpacked: Path) -> None:
+def test_the_source_archive_contains_the_tree_and_no_build_products(unpacked: Path) -> None:
     files = {str(file.relative_to(unpacked)) for file in unpacked.rglob("*") if file.is_file()}
     assert NEEDED - files == set()
     made = {
@@ -103,7 +103,7 @@ def test_a_file_for_the_host_follows_its_format(schema: str, file: Path) -> None
     assert checked.returncode == 0, checked.stdout
 
 
-def test_the_tested_bounds_are_the_promised_ones() -> None:
+def test_continuous_integration_tests_the_promised_versions() -> None:
     jobs = yaml.safe_load(WORKFLOW.read_text(encoding="utf-8"))["jobs"]
     assert jobs["debian-12"]["container"] == "debian:12"
     versions = ["3.11", *jobs["ubuntu-24-04"]["strategy"]["matrix"]["python"]]  # Debian 12's own is 3.11
@@ -126,7 +126,7 @@ def test_the_commit_hook_runs_the_checks_of_make_lint() -> None:
 
 
 @pytest.mark.long
-def test_no_host_of_a_package_registry_is_named() -> None:
+def test_no_file_names_a_package_registry() -> None:
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=False)
     if listed.returncode:
         pytest.skip("no clone: which files are the project's is not known")

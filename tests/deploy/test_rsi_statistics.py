@@ -51,7 +51,7 @@ def test_the_delay_of_an_unanswered_krc_grows() -> None:
     assert (seen.delay, seen.delay_growth) == (50, 50)
 
 
-def test_a_stamp_of_more_than_32_bit_is_a_problem_and_gets_no_zeros() -> None:
+def test_an_ipoc_beyond_32_bit_is_a_problem_and_gets_no_reply() -> None:
     own = [datagram.replace(b"<IPOC>", b"<IPOC>12") for datagram in telegrams(3)]
     assert any("IPOC is 12" in problem and "32 bit" in problem for problem in watched(own).summary().problems)
     zeros = ZeroEcho(Bench().pc)
@@ -59,20 +59,20 @@ def test_a_stamp_of_more_than_32_bit_is_a_problem_and_gets_no_zeros() -> None:
     assert list(zeros.refusals) == ["IPOC has more than 32 bit, and a KRC's is at most 4294967295"]
 
 
-def test_a_kr_c2_is_known_by_its_first_telegram() -> None:
+def test_a_kr_c2_is_recognised_by_its_first_telegram() -> None:
     seen = watched(telegrams(5, krc="krc2")).summary()
     assert seen.opened_with_ipoc_only
     assert seen.guess.startswith("a KR C2")
     assert "AIPos.A1" in seen.elements
 
 
-def test_the_slow_and_the_fast_cycle_are_told_apart() -> None:
+def test_the_slow_and_the_fast_cycle_are_distinguished() -> None:
     seen = watched(telegrams(20, cycle_s=0.004), 0.004).summary()
     assert "#IPO_FAST" in seen.guess
     assert seen.ipoc_step == 4
 
 
-def test_an_ipoc_that_counts_cycles_is_said_to() -> None:
+def test_an_ipoc_that_counts_cycles_is_recognised() -> None:
     rows = [b'<Rob Type="KUKA"><Delay D="0"/><IPOC>%d</IPOC></Rob>' % n for n in range(10)]
     seen = watched(rows).summary()
     assert seen.ipoc_step == 1
@@ -80,12 +80,12 @@ def test_an_ipoc_that_counts_cycles_is_said_to() -> None:
     assert seen.problems == ()
 
 
-def test_the_wrap_of_the_ipoc_is_no_jump() -> None:
+def test_a_wrapping_ipoc_is_no_jump() -> None:
     ipocs = [(2**32 - 30 + 12 * n) % 2**32 for n in range(8)]
     assert watched([b'<Rob Type="KUKA"><IPOC>%d</IPOC></Rob>' % n for n in ipocs]).summary().ipoc_jumps == 0
 
 
-def test_lost_telegrams_are_jumps_and_late_intervals() -> None:
+def test_lost_telegrams_count_as_jumps_and_late_intervals() -> None:
     sent = telegrams(30)
     statistics = WireStatistics()
     for number, datagram in enumerate(sent):
@@ -143,13 +143,13 @@ def test_unlisted_and_missing_elements_are_named() -> None:
         b'<Rob Type="KUKA"><IPOC>123456789012345678901</IPOC></Rob>',
     ],
 )
-def test_an_invalid_telegram_is_counted_and_stops_nothing(datagram: bytes) -> None:
+def test_an_invalid_telegram_is_counted_and_sniffing_continues(datagram: bytes) -> None:
     assert look_at(datagram) is None
     statistics = watched([datagram, *telegrams(2)])
     assert (statistics.summary().garbled, statistics.telegrams) == (1, 2)
 
 
-def test_nothing_seen_is_a_summary_too() -> None:
+def test_silence_gives_a_summary() -> None:
     seen = WireStatistics(("AIPos.A1",), 0.012).summary()
     assert (seen.telegrams, seen.rate_hz, seen.cycle, seen.peers) == (0, None, None, {})
     assert seen.problems == ()
@@ -173,7 +173,7 @@ def test_the_echo_answers_with_zeros_and_the_robot_stays() -> None:
     assert echo.refusals == {}
 
 
-def test_a_robot_that_was_corrected_already_is_not_answered() -> None:
+def test_an_already_corrected_robot_gets_no_reply() -> None:
     bench = Bench()
     for number in range(40):
         bench.cycle(min(0.001 * number, 0.03))
@@ -186,7 +186,7 @@ def test_a_robot_that_was_corrected_already_is_not_answered() -> None:
     assert bench.krc.sample.q == pytest.approx(np.full(6, 0.03), abs=1e-3)
 
 
-def test_without_the_programmed_position_nothing_is_answered() -> None:
+def test_a_telegram_without_the_programmed_position_gets_no_reply() -> None:
     bench = Bench()
     datagram = bench.krc.tick()
     assert datagram is not None
@@ -204,7 +204,7 @@ def test_without_the_programmed_position_nothing_is_answered() -> None:
     assert "DEF_ASPos" in next(iter(echo.refusals))
 
 
-def test_only_the_first_sender_is_answered_and_garbage_never() -> None:
+def test_only_the_first_sender_gets_replies_and_garbage_gets_none() -> None:
     bench = Bench()
     echo = ZeroEcho(bench.pc)
     datagram = bench.krc.tick()

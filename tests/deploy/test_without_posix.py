@@ -67,7 +67,7 @@ def run_without(script: str, *words: str) -> str:
 
 
 @pytest.mark.parametrize("module", MODULES)
-def test_the_modules_are_really_missing(module: str) -> None:
+def test_the_posix_modules_are_missing(module: str) -> None:
     script = f"""
 try:
     import {module}

@@ -30,7 +30,7 @@ BIN = Path(sys.executable).parent
 
 
 @pytest.mark.service
-def test_the_commands_of_the_guide_run_as_they_stand(tmp_path: Path) -> None:
+def test_the_commands_of_the_guide_run_unchanged(tmp_path: Path) -> None:
     cell = write_private_cell(tmp_path).rename(tmp_path / "my-cell.yaml")
     lines = [line for block in BLOCKS for line in block.splitlines() if line]
     assert len(lines) == 5
@@ -58,7 +58,7 @@ def test_the_commands_of_the_guide_run_as_they_stand(tmp_path: Path) -> None:
     assert "ST_SETPARAM(hAxis, 14, 5)" in first
 
 
-def test_the_cells_of_the_guide_are_what_it_says(tmp_path: Path) -> None:
+def test_the_cells_of_the_guide_have_the_described_fields(tmp_path: Path) -> None:
     real, emulated = re.findall(r"^```yaml\n(.*?)^```", GUIDE, re.MULTILINE | re.DOTALL)
     (tmp_path / "my-cell.yaml").write_text(real)
     (tmp_path / "my-cell-emulated.yaml").write_text(emulated)
@@ -74,7 +74,7 @@ def test_every_numbered_message_of_the_emulated_controller_is_explained() -> Non
 
 
 @pytest.mark.long
-def test_a_correction_that_the_controller_cuts_off_at_five_degrees_is_held_as_the_guide_says(
+def test_a_correction_clamped_at_five_degrees_holds_the_robot_as_documented(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     settings = KrcSettings.load().model_copy(update={"correction_limit_deg": 5.0})

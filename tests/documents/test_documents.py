@@ -24,17 +24,17 @@ COMMAND: Any = typer.main.get_command(app)
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", sorted(PAGES))
-def test_a_reference_page_is_what_the_code_gives(name: str) -> None:
+def test_each_reference_page_agrees_with_the_code(name: str) -> None:
     assert (FOLDER / name).read_text(encoding="utf-8") == page(name), "write it anew with `make docs`"
 
 
-def test_no_reference_page_is_left_over() -> None:
+def test_every_reference_page_is_generated() -> None:
     written = {name for name in PAGES if name.startswith("reference/")}
     assert {f"reference/{file.name}" for file in (FOLDER / "reference").iterdir()} == written
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda file: str(file.relative_to(ROOT)))
-def test_every_link_to_a_file_leads_somewhere(document: Path) -> None:
+def test_every_link_to_a_file_has_a_target(document: Path) -> None:
     text = document.read_text(encoding="utf-8")
     links = re.findall(r"\]\((?!https?:)([^)#]+)(?:#[^)]*)?\)", text)
     dead = [link for link in links if not (document.parent / link).exists()]
@@ -42,7 +42,7 @@ def test_every_link_to_a_file_leads_somewhere(document: Path) -> None:
 
 
 @pytest.mark.parametrize("document", [ROOT / "CONTRIBUTING.md", ROOT / "docs/notes/architecture.md"])
-def test_every_file_that_a_map_of_the_tree_names_is_there(document: Path) -> None:
+def test_every_file_in_a_map_of_the_tree_exists(document: Path) -> None:
     named = set(re.findall(r"`([\w./]+(?:/|\.py))`", document.read_text(encoding="utf-8")))
     tree = [
         path
@@ -58,7 +58,7 @@ def test_every_file_that_a_map_of_the_tree_names_is_there(document: Path) -> Non
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda file: str(file.relative_to(ROOT)))
-def test_every_deltaq_command_in_the_documents_is_understood(document: Path) -> None:
+def test_every_deltaq_command_in_the_documents_parses(document: Path) -> None:
     text = document.read_text(encoding="utf-8")
     blocks = re.findall(r"^```sh\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
     for line in "\n".join(blocks).splitlines():
@@ -90,7 +90,7 @@ def every_help(command: Any, name: str) -> Iterator[tuple[str, Any]]:
 @pytest.mark.parametrize(
     ("name", "command"), [*every_help(COMMAND, "deltaq")], ids=lambda one: one if isinstance(one, str) else ""
 )
-def test_a_help_ends_with_two_commands_that_are_understood(name: str, command: Any) -> None:
+def test_each_help_text_ends_with_two_valid_commands(name: str, command: Any) -> None:
     head, *examples = command.epilog.split("\n\n")
     assert (head, len(examples)) == ("Examples:", 2)
     for example in examples:
@@ -99,7 +99,7 @@ def test_a_help_ends_with_two_commands_that_are_understood(name: str, command: A
         understand(shlex.split(typed))
 
 
-def test_there_are_at_most_27_verbs_and_the_former_ones_name_the_present() -> None:
+def test_there_are_at_most_27_verbs_and_former_verbs_name_the_present_ones() -> None:
     assert len(COMMAND.commands) <= 27
     for former, present in RENAMED.items():
         typed = CliRunner().invoke(app, [*former.split(), "--json"])
@@ -120,7 +120,7 @@ def test_the_citation_file_follows_its_format() -> None:
 
 
 @pytest.mark.skipif(sys.version_info >= (3, 12), reason="a newer Python has packages of its own")
-def test_every_pin_is_for_the_oldest_python_that_is_promised() -> None:
+def test_every_pinned_version_supports_the_oldest_promised_python() -> None:
     pins = set((ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines())
     asked = {f"{one.name}=={one.version}": one.metadata["Requires-Python"] or "" for one in distributions()}
     assert len(pins & asked.keys()) > 150

@@ -45,7 +45,7 @@ def executed(name: str, folder: Path) -> Outputs:
 
 
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda notebook: notebook.stem)
-def test_a_notebook_is_kept_without_what_a_run_left_in_it(notebook: Path) -> None:
+def test_notebooks_are_stored_without_outputs(notebook: Path) -> None:
     written = nbformat.read(notebook, as_version=4)
     nbformat.validate(written)
     code = [cell for cell in written.cells if cell.cell_type == "code"]
@@ -62,7 +62,7 @@ def test_an_own_controller_is_recorded_and_replayed(tmp_path: Path) -> None:
 
 
 @pytest.mark.nightly
-def test_the_advisor_shows_options_and_a_way(tmp_path: Path) -> None:
+def test_the_advisor_shows_options_and_a_path(tmp_path: Path) -> None:
     seen = executed("advisor.ipynb", tmp_path)
     assert "1: energy" in seen.printed
     assert "a way is known" in seen.printed
@@ -70,7 +70,7 @@ def test_the_advisor_shows_options_and_a_way(tmp_path: Path) -> None:
 
 
 @pytest.mark.nightly
-def test_a_first_motion_is_made_limited_stopped_and_reset(tmp_path: Path) -> None:
+def test_a_first_motion_is_executed_limited_stopped_and_reset(tmp_path: Path) -> None:
     seen = executed("first_motion.ipynb", tmp_path)
     assert "A1 turned by 10.00 deg;" in seen.printed
     assert "limits kept: True - distances kept: True" in seen.printed

@@ -166,7 +166,7 @@ def read(page: Path, installed: Installed, folder: Path, *options: str, timeout_
 @pytest.mark.service
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("page", [page for page in PAGES if page.name in SHORT], ids=lambda page: page.name)
-def test_the_first_pages_work_word_for_word(page: Path, complete: Installed, tmp_path: Path) -> None:
+def test_the_first_pages_run_word_for_word(page: Path, complete: Installed, tmp_path: Path) -> None:
     complete.take_machine_code()  # `make nightly` compiles as a reader does, beside two busy programs
     read(page, complete, tmp_path)
 
@@ -175,7 +175,7 @@ def test_the_first_pages_work_word_for_word(page: Path, complete: Installed, tmp
 @pytest.mark.nightly
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_every_page_works_word_for_word_on_a_busy_machine(
+def test_every_page_runs_word_for_word_on_a_busy_machine(
     page: Path, complete: Installed, tmp_path: Path
 ) -> None:
     with busy(2):
@@ -183,7 +183,7 @@ def test_every_page_works_word_for_word_on_a_busy_machine(
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_every_block_of_a_page_says_what_a_reader_does_with_it(page: Path) -> None:
+def test_every_block_of_a_page_is_marked_with_its_use(page: Path) -> None:
     steps = list(pages.steps(page.read_text(encoding="utf-8")))
     silent = [step.line for step in steps if not step.kind and step.language in pages.TESTED_LANGUAGES]
     assert silent == [], "lines of blocks without a mark; tests/support/pages.py explains the marks"
@@ -201,7 +201,7 @@ def test_every_test_that_runs_a_block_in_place_of_these_exists() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_no_mark_or_block_of_a_page_is_overlooked(page: Path) -> None:
+def test_every_mark_and_block_of_a_page_is_parsed(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     steps = list(pages.steps(text))
     comments = [comment for comment in re.findall(r"<!-- (.*?) -->", text) if comment not in OTHER_COMMENTS]
@@ -217,7 +217,7 @@ SAYS = "<!-- run: sh -->\n```sh\necho one; echo two\n```"
 SERVES = "<!-- background: up -->\n```sh\ntrap 'exit 0' INT; echo up; while true; do sleep 1; done\n```"
 
 
-def test_a_reader_writes_files_types_commands_and_looks_at_what_is_printed(tmp_path: Path) -> None:
+def test_the_runner_writes_files_types_commands_and_compares_output(tmp_path: Path) -> None:
     write = "<!-- write: a.txt -->\n```text\nhello\n```"
     run = "<!-- run: sh -->\n```sh\ncat a.txt\n```"
     pages.Reader(tmp_path).read(page_of(write, run, "<!-- prints -->\n```text\nhello\n```"))
@@ -235,7 +235,7 @@ def test_a_reader_writes_files_types_commands_and_looks_at_what_is_printed(tmp_p
     ],
     ids=["fails", "fails in python", "wrong order", "never up", "ends badly", "unknown mark"],
 )
-def test_a_page_that_is_wrong_is_found(tmp_path: Path, page: str, told: str) -> None:
+def test_a_wrong_page_fails(tmp_path: Path, page: str, told: str) -> None:
     with pytest.raises(pages.PageError, match=re.escape(told)):
         pages.Reader(tmp_path).read(page)
 
@@ -252,7 +252,7 @@ def test_long_blocks_are_left_to_the_nightly_tests(tmp_path: Path) -> None:
     assert (tmp_path / "done").exists()
 
 
-def test_a_command_that_takes_too_long_is_ended_with_all_that_it_started(
+def test_a_command_beyond_its_deadline_ends_with_its_children(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(pages, "RUNS_WITHIN_S", 1.0)

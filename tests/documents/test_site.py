@@ -67,7 +67,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.nightly
-def test_the_python_api_is_there_with_its_docstrings_and_can_be_searched_for(site: Path) -> None:
+def test_the_site_contains_the_python_api_and_finds_it_by_search(site: Path) -> None:
     found = json.loads((site / "search" / "search_index.json").read_text(encoding="utf-8"))["docs"]
     texts = {entry["location"]: entry["text"] for entry in found}
     for module, name in [
@@ -83,7 +83,7 @@ def test_the_python_api_is_there_with_its_docstrings_and_can_be_searched_for(sit
 
 
 @pytest.mark.nightly
-def test_an_example_has_a_page_with_its_text(site: Path) -> None:
+def test_each_example_has_a_page_with_its_text(site: Path) -> None:
     assert 'href="tree/examples/with_asyncio.py.html"' in (site / "examples.html").read_text(encoding="utf-8")
     page = (site / "tree" / "examples" / "with_asyncio.py.html").read_text(encoding="utf-8")
     assert "import</span> <span" in page
@@ -91,7 +91,7 @@ def test_an_example_has_a_page_with_its_text(site: Path) -> None:
 
 
 @pytest.mark.nightly
-def test_no_page_loads_anything_from_elsewhere(site: Path) -> None:
+def test_no_page_loads_files_from_other_hosts(site: Path) -> None:
     loaded = {
         "".join(match): page.name
         for page in site.rglob("*.html")
@@ -102,7 +102,7 @@ def test_no_page_loads_anything_from_elsewhere(site: Path) -> None:
 
 
 @pytest.mark.nightly
-def test_a_version_of_the_site_is_published_beside_the_one_before(tmp_path: Path) -> None:
+def test_a_new_version_of_the_site_is_published_beside_the_former_one(tmp_path: Path) -> None:
     programs = Path(sys.executable).parent
     author = {f"GIT_{who}_{what}": "test" for who in ("AUTHOR", "COMMITTER") for what in ("NAME", "EMAIL")}
     path = f"{programs}{os.pathsep}{os.environ['PATH']}"
@@ -134,7 +134,7 @@ def test_a_version_of_the_site_is_published_beside_the_one_before(tmp_path: Path
     assert '"provider": "mike"' in run("git", "show", "gh-pages:0.2.0/index.html")
 
 
-def test_the_page_of_examples_names_each_of_them() -> None:
+def test_the_page_of_examples_names_every_example() -> None:
     page = (ROOT / "docs" / "examples.md").read_text(encoding="utf-8")
     files = [
         *ROOT.glob("examples/**/*.py"),

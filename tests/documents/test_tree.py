@@ -35,14 +35,14 @@ def _is_type_variable(value: ast.expr) -> bool:
     return isinstance(value, ast.Call) and ast.unparse(value.func) == "TypeVar"
 
 
-def test_types_are_found_however_they_are_made() -> None:
+def test_every_way_to_define_a_type_is_found() -> None:
     text = "class One:\n    class Two: ...\n\nThree = int | str\nFour: TypeAlias = int\nM = TypeVar('M')\nBOUND = 5"
     assert sorted(public_types(text)) == ["Four", "One", "Three", "Two"]
     assert list(public_types("class _Private: ...")) == []
 
 
 @pytest.mark.long
-def test_no_public_name_of_a_type_stands_twice_in_the_tree() -> None:
+def test_every_public_type_name_is_unique() -> None:
     found: dict[str, list[str]] = defaultdict(list)
     for package in PACKAGES:
         if package == USERS:
@@ -88,7 +88,7 @@ def test_there_are_tables_of_equations_and_code() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_code_that_stands_beside_an_equation_exists(name: str) -> None:
+def test_code_named_beside_an_equation_exists(name: str) -> None:
     if name.endswith(".py"):
         assert name in SOURCES
         return
@@ -115,7 +115,7 @@ def shared_generators(text: str) -> list[int]:
     ]
 
 
-def test_a_generator_is_found_where_tests_would_share_it() -> None:
+def test_a_shared_random_generator_is_found() -> None:
     shared = "a = np.random.default_rng(1)\nb: Random = random.Random(2)\n"
     assert shared_generators(shared) == [1, 2]
     assert (
@@ -126,5 +126,5 @@ def test_a_generator_is_found_where_tests_would_share_it() -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("path", sorted(TESTS.rglob("*.py")), ids=lambda path: str(path.relative_to(TESTS)))
-def test_no_module_of_tests_shares_a_generator_among_them(path: Path) -> None:
+def test_no_test_module_shares_a_random_generator(path: Path) -> None:
     assert shared_generators(path.read_text(encoding="utf-8")) == []

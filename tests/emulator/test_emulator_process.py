@@ -112,7 +112,7 @@ def silent(sock: socket.socket) -> bool:
 
 
 @pytest.mark.parametrize("replies", ["none", "garbage"])
-def test_telegrams_go_out_at_the_fixed_rate_with_or_without_replies(tmp_path: Path, replies: str) -> None:
+def test_telegrams_are_sent_at_a_fixed_rate_with_and_without_replies(tmp_path: Path, replies: str) -> None:
     with running(write_private_cell(tmp_path, "lab-4ms"), "fr") as emulated, pc(emulated) as sock:
         first = sock.recvfrom(4096)[0]
         begin_s = time.monotonic()
@@ -136,7 +136,7 @@ def test_telegrams_go_out_at_the_fixed_rate_with_or_without_replies(tmp_path: Pa
         assert (after["counters"]["garbled"] > 0) == (replies == "garbage")
 
 
-def test_a_pc_moves_the_gantry_and_the_record_shows_it_while_it_grows(tmp_path: Path) -> None:
+def test_the_growing_record_shows_the_moving_gantry(tmp_path: Path) -> None:
     record = tmp_path / "gr.csv"
     cell = write_private_cell(tmp_path)
     with running(cell, "gr", "--record", str(record)) as emulated, pc(emulated) as sock:
@@ -165,7 +165,7 @@ def test_a_pc_moves_the_gantry_and_the_record_shows_it_while_it_grows(tmp_path: 
         assert np.diff(q[:, 0]).tolist() == [1.0] * (len(q) - 1)
 
 
-def test_a_sensor_that_falls_silent_stops_rsi_until_the_operator_starts_it_again(tmp_path: Path) -> None:
+def test_a_silent_pc_stops_rsi_until_the_operator_restarts_it(tmp_path: Path) -> None:
     with running(write_private_cell(tmp_path, "lab-4ms"), "fr") as emulated, pc(emulated) as sock:
         # silence counts from the first reply that came in time
         while not emulated.ask(op="status")["counters"]["accepted"]:
@@ -186,7 +186,7 @@ def test_a_sensor_that_falls_silent_stops_rsi_until_the_operator_starts_it_again
             ipoc = emulated.codec.decode(sock.recv(4096)).ipoc
 
 
-def test_a_stall_of_the_machine_is_told_apart_from_a_late_pc(tmp_path: Path) -> None:
+def test_a_stalled_machine_is_distinguished_from_a_late_pc(tmp_path: Path) -> None:
     with running(write_private_cell(tmp_path, "lab-4ms"), "fr") as emulated, pc(emulated) as sock:
         datagram, krc = sock.recvfrom(4096)
         sock.sendto(emulated.codec.encode(emulated.codec.decode(datagram).ipoc, np.zeros(6)), krc)
@@ -213,7 +213,7 @@ def test_faults_of_the_network_are_injected_while_it_runs(tmp_path: Path) -> Non
         assert emulated.ask(op="explode")["ok"] is False
 
 
-def test_others_send_to_the_pc_from_addresses_of_their_own(tmp_path: Path) -> None:
+def test_forged_telegrams_come_from_addresses_of_their_own(tmp_path: Path) -> None:
     with running(write_private_cell(tmp_path), "fr") as emulated, pc(emulated) as sock:
         _, krc = sock.recvfrom(4096)
         forge = [{"address": "127.0.0.3"}, {"ipoc_shift": 5_000_000}]
@@ -241,7 +241,7 @@ def test_a_second_controller_sends_from_an_address_of_its_own(tmp_path: Path) ->
         assert senders == {"127.0.0.1", "127.0.0.7"}
 
 
-def test_an_emulator_is_never_given_its_own_panels_port_for_its_link() -> None:
+def test_the_link_of_an_emulator_never_takes_the_port_of_its_panel() -> None:
     network = own_network()
     if network is None:
         pytest.skip("no network namespace is allowed here, and the test sets which ports the system gives")
@@ -304,7 +304,7 @@ def test_a_failed_start_is_reported_in_one_line_with_status_2() -> None:
         assert message in text
 
 
-def test_rsipi_a_client_by_others_moves_the_robot_with_a_configuration_of_its_own(tmp_path: Path) -> None:
+def test_the_published_client_rsipi_moves_the_robot_with_its_own_configuration(tmp_path: Path) -> None:
     cell = write_private_cell(tmp_path)
     driver = load_cell(cell).robots["fr"].driver
     assert isinstance(driver, RsiDescription)

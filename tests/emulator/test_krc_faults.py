@@ -36,7 +36,7 @@ def test_dropped_datagrams_never_arrive() -> None:
     assert arrived == sorted(arrived, key=int)
 
 
-def test_a_delay_holds_each_datagram_back_that_long() -> None:
+def test_a_delay_postpones_each_datagram_by_its_length() -> None:
     link = FaultyLink()
     link.faults = LinkFaults(delay_s=0.005)
     link.put(1.0, b"a")
@@ -58,7 +58,7 @@ def test_jitter_stays_within_its_bound() -> None:
     assert 0.0045 < max(dues) <= 0.005
 
 
-def test_the_jitter_of_a_queue_lets_none_overtake_another_and_any_other_does() -> None:
+def test_queued_jitter_keeps_the_order_and_other_jitter_does_not() -> None:
     for keeps_order in (True, False):
         link, arrived = FaultyLink(seed=2), []
         link.faults = LinkFaults(jitter_s=0.02, keeps_order=keeps_order)
@@ -77,7 +77,7 @@ def test_duplicates_arrive_twice() -> None:
     assert through(link, 3) == [b"0", b"0", b"1", b"1", b"2", b"2"]
 
 
-def test_reordered_datagrams_are_overtaken_by_the_next_one_that_is_not() -> None:
+def test_a_reordered_datagram_arrives_after_the_next_ordered_one() -> None:
     link = FaultyLink(seed=5)
     link.faults = LinkFaults(reorder=0.3)
     arrived = [int(datagram) for datagram in through(link, 200)]
@@ -99,7 +99,7 @@ def test_corrupted_datagrams_arrive_changed() -> None:
     assert link.counts["corrupted"] == 2
 
 
-def test_a_flipped_digit_leaves_a_telegram_that_reads_well_and_differs_in_that_digit() -> None:
+def test_a_flipped_digit_gives_a_valid_telegram_that_differs_in_one_digit() -> None:
     link = FaultyLink(seed=4)
     link.faults = LinkFaults(flip=1.0)
     sent = b'<AIPos A1="12.3456"/>'
@@ -125,7 +125,7 @@ def test_a_truncated_datagram_is_the_beginning_of_what_was_sent() -> None:
     assert link.counts["truncated"] == 51
 
 
-def test_faults_that_are_not_asked_for_take_nothing_from_the_random_numbers_of_a_seed() -> None:
+def test_unused_faults_draw_no_random_numbers() -> None:
     runs = []
     for extra in ({}, {"flip": 0.0, "truncate": 0.0}):
         link = FaultyLink(seed=9)
@@ -160,7 +160,7 @@ def exceeded_after(budget: LateBudget, cycles: list[bool]) -> int | None:
 @pytest.mark.parametrize(
     ("rule", "exceeded"), [("consecutive", None), ("total", 7), ("share", None)], ids=lambda value: str(value)
 )
-def test_late_cycles_with_answers_between_them_are_too_many_only_where_all_are_counted(
+def test_interrupted_late_cycles_exceed_only_the_budget_of_all_cycles(
     rule: str, exceeded: int | None
 ) -> None:
     assert exceeded_after(LateBudget(rule, 3, 50.0), [True, False] * 100) == exceeded
@@ -170,7 +170,7 @@ def test_a_share_is_exceeded_by_one_more_than_that_share_of_a_thousand() -> None
     assert exceeded_after(LateBudget("share", 0, 2.5), [True] * 100) == 26
 
 
-def test_late_cycles_leave_the_field_of_view_after_a_thousand() -> None:
+def test_late_cycles_leave_the_window_after_a_thousand() -> None:
     budget = LateBudget("share", 0, 2.5)
     ten_of_a_thousand = [True] * 10 + [False] * (FIELD_OF_VIEW - 10)
     assert exceeded_after(budget, ten_of_a_thousand * 5) is None
@@ -187,13 +187,13 @@ def test_a_new_session_counts_from_zero() -> None:
         assert exceeded_after(budget, [True] * 4) == 4
 
 
-def test_a_budget_of_nothing_permits_nothing() -> None:
+def test_a_budget_of_zero_permits_no_late_cycle() -> None:
     for rule in ("consecutive", "total", "share"):
         assert exceeded_after(LateBudget(rule, 0, 0.0), [False] * 5 + [True]) == 6
 
 
 @given(st.lists(st.booleans(), max_size=2500))
-def test_the_share_counts_what_a_window_over_the_whole_history_would(cycles: list[bool]) -> None:
+def test_the_share_agrees_with_a_window_over_the_whole_history(cycles: list[bool]) -> None:
     budget = LateBudget("share", 0, 100.0)
     for late in cycles:
         budget.cycle(late)

@@ -36,7 +36,7 @@ def test_the_effect_of_two_lost_telegrams_depends_on_correction_and_holdon(
     assert bench.krc.sample.q_setpoint == pytest.approx([after_loss] * 6, abs=1e-7)
 
 
-def test_an_element_that_a_reply_leaves_out_is_held_or_reset_like_a_lost_one() -> None:
+def test_an_omitted_element_is_held_or_reset_like_a_lost_one() -> None:
     for hold_on, expected in ((1, 0.001), (0, 0.0)):
         bench = Bench(hold_on=hold_on)
         bench.cycle(0.001)
@@ -46,7 +46,7 @@ def test_an_element_that_a_reply_leaves_out_is_held_or_reset_like_a_lost_one() -
         assert bench.krc.sample.q_setpoint == pytest.approx([0.001] + [expected] * 5, abs=1e-7)
 
 
-def test_the_makers_limit_cuts_a_correction_off_at_five_degrees_and_five_millimetres() -> None:
+def test_the_default_limit_clamps_corrections_at_five_degrees_and_five_millimetres() -> None:
     limits = {
         "correction_limit_deg": 5,
         "correction_limit_mm": 5,
@@ -93,7 +93,7 @@ def test_a_step_at_standstill_ends_in_command_gear_torque() -> None:
     assert not bench.krc.sample.q_setpoint.any()
 
 
-def test_a_lasting_acceleration_beyond_the_gears_ends_in_command_gear_torque() -> None:
+def test_a_lasting_acceleration_beyond_the_gear_limit_ends_in_command_gear_torque() -> None:
     for factor, stops in ((2.9, False), (3.1, True)):
         bench = Bench(cycle_s=0.004)
         bench.drive([0.0] * 5 + [0.5 * factor * 10.0 * (k * 0.004) ** 2] for k in range(15))
@@ -101,7 +101,7 @@ def test_a_lasting_acceleration_beyond_the_gears_ends_in_command_gear_torque() -
         assert ("Command gear torque A6" in str(bench.krc.message)) is stops
 
 
-def test_moving_faster_than_the_axis_can_ends_in_maximum_kinetic_energy() -> None:
+def test_motion_beyond_the_axis_speed_ends_in_maximum_kinetic_energy() -> None:
     bench = Bench()
     speeds = [10.0 * CYCLE_S * k for k in range(200)]
     angles = np.cumsum(speeds) * CYCLE_S
@@ -156,7 +156,7 @@ def test_after_a_fault_the_drives_bring_the_robot_to_rest_within_their_decelerat
     assert setpoints[-1] - moving == pytest.approx(1.0 / (2 * 10.0), rel=0.2)
 
 
-def test_the_pose_comes_from_forward_kinematics_of_where_the_robot_is() -> None:
+def test_the_reported_pose_is_the_forward_kinematics_of_the_measured_joints() -> None:
     bench = Bench(servo_lag=ServoLag(dead_time_s=0.012, natural_frequency_rad_s=83.0))
     for k in range(1, 30):
         telegram = bench.cycle(k * STEP)
@@ -177,7 +177,7 @@ def test_the_programmed_path_does_not_follow_corrections() -> None:
 
 
 @pytest.mark.parametrize("krc", ["krc2", "krc4"])
-def test_linear_external_axes_go_where_they_are_sent_on_both_generations(krc: str) -> None:
+def test_linear_external_axes_reach_their_targets_on_both_generations(krc: str) -> None:
     bench = Bench(("e1", "e2", "e3", "a1"), krc=krc)
     for k in range(30):
         telegram = bench.cycle([k * 1e-4, -k * 1e-4, 0.0, 0.0])
@@ -186,7 +186,7 @@ def test_linear_external_axes_go_where_they_are_sent_on_both_generations(krc: st
     assert telegram.q == pytest.approx([27e-4, -27e-4, 0.0, 0.0], abs=1e-4)
 
 
-def test_only_the_first_telegram_of_a_kr_c2_session_has_nothing_but_its_ipoc() -> None:
+def test_only_the_first_telegram_of_a_kr_c2_session_has_only_its_ipoc() -> None:
     bench = Bench(krc="krc2")
     first = bench.krc.tick()
     assert first == b'<Rob Type="KUKA"><IPOC>4208163634</IPOC></Rob>'

@@ -41,16 +41,14 @@ def ask(panel: Panel, **request: Any) -> dict[str, Any]:
     return answer
 
 
-def test_the_table_of_states_knows_every_event_and_leads_somewhere() -> None:
+def test_the_state_table_uses_every_event_and_reaches_every_state() -> None:
     assert {event for _, event in TRANSITIONS} == set(KrcEvent)
     assert {state for state, _ in TRANSITIONS} == set(KrcState) == set(TRANSITIONS.values())
 
 
 @pytest.mark.parametrize("state", KrcState)
 @pytest.mark.parametrize("event", KrcEvent)
-def test_an_event_that_is_not_in_the_table_is_refused_with_those_that_are(
-    state: KrcState, event: KrcEvent
-) -> None:
+def test_an_unexpected_event_is_refused_with_the_permitted_ones(state: KrcState, event: KrcEvent) -> None:
     if (state, event) in TRANSITIONS:
         assert after(state, event) is TRANSITIONS[state, event]
     else:
@@ -64,7 +62,7 @@ def test_every_message_has_a_text(code: Code) -> None:
     assert "{" not in str(KrcMessage(code, "A1", 1.0, 2.0, "deg"))
 
 
-def test_a_stopped_controller_starts_again_only_after_its_message_was_acknowledged() -> None:
+def test_a_stopped_controller_restarts_only_after_its_message_was_acknowledged() -> None:
     bench = Bench(late_budget=1)
     bench.cycle()
     bench.silent(5)
@@ -103,7 +101,7 @@ def test_a_new_session_starts_where_the_robot_rests_with_no_correction_and_no_de
 
 
 @pytest.mark.parametrize("correction", ["absolute", "relative"])
-def test_nothing_of_the_last_session_is_held_into_a_new_one(correction: str) -> None:
+def test_a_new_session_holds_no_correction_of_the_last_one(correction: str) -> None:
     bench = Bench(correction=correction)
     bench.cycle(0.001)
     bench.krc.tick()
@@ -135,7 +133,7 @@ def test_restarting_a_running_program_waits_until_the_robot_rests() -> None:
     assert bench.krc.sample.q == pytest.approx(before, abs=2e-5)
 
 
-def test_turning_the_key_stops_the_program_and_says_so() -> None:
+def test_turning_the_key_stops_the_program_with_a_message() -> None:
     bench = Bench()
     bench.cycle()
     bench.krc.set_mode(OperatingMode.T1)
@@ -145,7 +143,7 @@ def test_turning_the_key_stops_the_program_and_says_so() -> None:
     assert bench.krc.tick() is None
 
 
-def test_without_drives_nothing_starts() -> None:
+def test_a_program_does_not_start_without_drives() -> None:
     bench = Bench()
     bench.krc.set_drives(False)
     assert bench.krc.state is KrcState.DRIVES_OFF
@@ -157,7 +155,7 @@ def test_without_drives_nothing_starts() -> None:
     assert bench.silent(START_CYCLES) is not None
 
 
-def test_a_frozen_controller_is_silent_and_its_time_goes_on() -> None:
+def test_a_frozen_controller_is_silent_while_its_time_advances() -> None:
     bench = Bench()
     before = bench.cycle(0.001).ipoc
     bench.krc.freeze(5)
@@ -167,7 +165,7 @@ def test_a_frozen_controller_is_silent_and_its_time_goes_on() -> None:
 
 
 @pytest.mark.parametrize("shift_ms", [-24, 1200])
-def test_the_time_stamp_can_be_made_to_jump(shift_ms: int) -> None:
+def test_an_injected_jump_changes_the_time_stamp(shift_ms: int) -> None:
     bench = Bench()
     before = bench.cycle().ipoc
     bench.krc.shift_ipoc(shift_ms)
@@ -176,7 +174,7 @@ def test_the_time_stamp_can_be_made_to_jump(shift_ms: int) -> None:
     assert bench.krc.sample.counters["accepted"] == 2
 
 
-def test_the_panel_shows_everything_and_does_what_the_operator_says() -> None:
+def test_the_panel_shows_every_state_and_obeys_the_operator() -> None:
     bench = Bench(late_budget=1)
     panel = make_panel(bench)
     bench.cycle(0.001)
@@ -211,7 +209,7 @@ def test_the_panel_sets_and_clears_faults() -> None:
     assert ask(panel, op="fault")["faults"]["from_pc"]["drop"] == 0.0
 
 
-def test_the_panel_lets_others_forge_telegrams_until_it_is_told_to_stop() -> None:
+def test_the_panel_forges_telegrams_until_a_stop_request() -> None:
     bench = Bench(precision=4)
     panel = make_panel(bench)
     forge = [{"address": "127.0.0.9", "ipoc_shift": 7000}, {"offset_deg": 1.4}]
@@ -226,7 +224,7 @@ def test_the_panel_lets_others_forge_telegrams_until_it_is_told_to_stop() -> Non
     assert ask(panel, op="fault")["forged"] == []
 
 
-def test_a_forgery_leaves_linear_axes_where_they_are_and_may_move_the_programmed_position_too() -> None:
+def test_a_forged_telegram_keeps_linear_axes_and_may_shift_the_programmed_position() -> None:
     bench = Bench(("e1", "a1"))
     panel = make_panel(bench)
     ask(panel, op="fault", forge=[{"offset_deg": 2, "programmed_too": True}])
@@ -281,7 +279,7 @@ def test_a_timeout_is_reported_with_the_present_state() -> None:
     assert answer["error"].endswith("3 cycles later")
 
 
-def test_more_waiting_than_there_is_room_for_is_refused() -> None:
+def test_too_many_waiting_requests_are_refused() -> None:
     panel = make_panel(Bench())
     waiting = [later(panel, cycles=9) for _ in range(MAX_AWAITED)]
     assert not any(waiting)
@@ -309,9 +307,7 @@ def test_more_waiting_than_there_is_room_for_is_refused() -> None:
         (b" " * 5000, "at most 4096 bytes"),
     ],
 )
-def test_a_request_that_cannot_be_done_is_answered_with_the_reason(
-    request_bytes: bytes, message: str
-) -> None:
+def test_an_impossible_request_is_answered_with_the_reason(request_bytes: bytes, message: str) -> None:
     (answer,) = answers(make_panel(Bench()), request_bytes)
     assert answer["ok"] is False
     assert message in answer["error"]
@@ -319,7 +315,7 @@ def test_a_request_that_cannot_be_done_is_answered_with_the_reason(
 
 @pytest.mark.long
 @given(st.binary(max_size=200))
-def test_whatever_is_sent_to_the_panel_is_answered(request_bytes: bytes) -> None:
+def test_the_panel_answers_every_datagram(request_bytes: bytes) -> None:
     (answer,) = answers(make_panel(Bench()), request_bytes)
     assert answer["ok"] or answer["error"]
 
@@ -354,12 +350,12 @@ def test_a_setting_that_is_not_allowed_is_named(tmp_path: Path, text: str, messa
     assert message in str(caught.value)
 
 
-def test_settings_that_are_not_there_are_said_so(tmp_path: Path) -> None:
+def test_missing_settings_are_reported(tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match="cannot be read"):
         KrcSettings.load(tmp_path / "none.yaml")
 
 
-def test_a_controller_runs_at_its_own_cycles_only() -> None:
+def test_a_controller_accepts_only_its_own_cycle_times() -> None:
     assert profile_for("krc2", 0.012).ipoc_only_first
     assert profile_for("krc4", 0.004).reply_within == 1.0
     with pytest.raises(SettingsError, match=r"cycle_s is 0\.004: a krc2 runs at 12 ms"):

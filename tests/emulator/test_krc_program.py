@@ -37,11 +37,11 @@ def until_it_ends(bench: Bench, stop: bool) -> list[np.ndarray]:
 
 @pytest.mark.parametrize("state", sorted(TELEGRAMS_GO_OUT))
 @pytest.mark.parametrize("event", [KrcEvent.STOP, KrcEvent.FAULT, KrcEvent.DRIVES_OFF, KrcEvent.CHANGE_MODE])
-def test_a_program_can_be_ended_wherever_it_is(state: KrcState, event: KrcEvent) -> None:
+def test_a_program_can_be_ended_in_every_state(state: KrcState, event: KrcEvent) -> None:
     assert TRANSITIONS[state, event] not in TELEGRAMS_GO_OUT
 
 
-def test_stop_ends_the_motion_along_the_drives_own_ramps_and_the_program_behind_it() -> None:
+def test_stop_ends_the_motion_along_the_ramps_of_the_drives_and_then_the_program() -> None:
     bench = Bench(("a1",), servo_lag=ServoLag())
     angle, step = moving(bench)
     bench.cycle(angle + step, stop=True)
@@ -67,7 +67,7 @@ def test_telegrams_are_exchanged_and_corrections_ignored_until_the_ended_motion_
     assert bench.krc.sample.message is not None
 
 
-def test_stop_ends_the_motion_when_it_rises_and_not_while_it_stays() -> None:
+def test_stop_ends_the_motion_on_its_rising_edge_only() -> None:
     bench = Bench()
     bench.cycle(stop=True)
     bench.krc.tick()
@@ -84,9 +84,7 @@ def test_stop_ends_the_motion_when_it_rises_and_not_while_it_stays() -> None:
 
 
 @pytest.mark.parametrize(("hold_on", "ends"), [(1, False), (0, True)])
-def test_a_stop_that_was_up_before_rises_again_only_where_a_lost_telegram_takes_it_down(
-    hold_on: int, ends: bool
-) -> None:
+def test_a_set_stop_rises_again_only_if_a_lost_telegram_resets_it(hold_on: int, ends: bool) -> None:
     bench = Bench(hold_on=hold_on, mode=OperatingMode.T1)
     bench.cycle(stop=True)  # before RSI_MOVECORR: nothing to end
     bench.krc.tick()
@@ -97,7 +95,7 @@ def test_a_stop_that_was_up_before_rises_again_only_where_a_lost_telegram_takes_
     assert (bench.krc.state is KrcState.READY) is ends
 
 
-def test_a_reply_without_the_element_leaves_stop_as_it_was() -> None:
+def test_a_reply_without_the_element_keeps_the_stop_signal() -> None:
     bench = Bench()
     bench.cycle(STEP)
     ipoc = bench.pc.decode(bench.krc.tick() or b"").ipoc
@@ -106,7 +104,7 @@ def test_a_reply_without_the_element_leaves_stop_as_it_was() -> None:
     assert bench.krc.state is KrcState.RSI_RUNNING
 
 
-def test_without_a_stop_in_the_cell_the_signal_is_any_other() -> None:
+def test_without_a_stop_in_the_cell_the_signal_is_an_ordinary_output() -> None:
     bench = Bench(driver={"stop": None})
     bench.cycle(STEP, stop=True)
     bench.krc.tick()
@@ -120,7 +118,7 @@ def test_without_a_stop_in_the_cell_the_signal_is_any_other() -> None:
         ("AK.A1", "no BOOL signal AK.A1"),
     ],
 )
-def test_a_stop_that_cannot_be_is_refused(tag: str, message: str) -> None:
+def test_an_impossible_stop_signal_is_refused(tag: str, message: str) -> None:
     with pytest.raises(EthernetConfigError, match=message):
         Bench(driver={"stop": tag})
 
@@ -143,7 +141,7 @@ def test_in_t1_nothing_moves_before_the_warning_is_confirmed() -> None:
     assert bench.krc.sample.q_setpoint == pytest.approx([0.001] * 6, abs=1e-8)
 
 
-def test_late_replies_count_from_rsi_on() -> None:
+def test_late_replies_count_from_the_command_rsi_on() -> None:
     bench = Bench(mode=OperatingMode.T1, late_budget=3)
     bench.cycle()
     bench.silent(5)
@@ -197,7 +195,7 @@ def test_relative_corrections_are_cut_off_at_the_limit_of_their_sum() -> None:
     assert np.rad2deg(bench.krc.sample.q_setpoint) == pytest.approx([1.0 - np.rad2deg(STEP)], abs=1e-6)
 
 
-def test_the_operator_chooses_which_program_starts_and_it_stays_chosen() -> None:
+def test_the_operator_selects_the_program_and_the_selection_persists() -> None:
     bench = Bench()
     for chosen, setpoint in ((None, STEP), ("relative", 3 * STEP), (None, 3 * STEP), ("absolute", STEP)):
         bench.krc.restart(chosen)

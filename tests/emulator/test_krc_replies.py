@@ -60,7 +60,7 @@ def test_a_second_reply_to_the_same_telegram_is_a_duplicate_and_the_first_one_co
     assert bench.count("duplicate") == 2
 
 
-def test_a_reply_to_a_telegram_that_never_was_is_stale() -> None:
+def test_a_reply_to_an_unsent_telegram_is_stale() -> None:
     bench = Bench()
     telegram = bench.cycle()
     bench.krc.tick()
@@ -70,14 +70,14 @@ def test_a_reply_to_a_telegram_that_never_was_is_stale() -> None:
     assert not bench.krc.sample.q_setpoint.any()
 
 
-def test_a_time_stamp_that_has_not_been_yet_is_future() -> None:
+def test_a_time_stamp_ahead_of_the_controller_is_future() -> None:
     bench = Bench()
     telegram = bench.cycle()
     bench.krc.receive(bench.reply(telegram.ipoc + 12, 0.5))
     assert bench.count("future") == 1
 
 
-def test_garbage_is_counted_and_stops_nothing() -> None:
+def test_garbage_is_counted_and_the_session_continues() -> None:
     bench = Bench()
     telegram = bench.cycle()
     for datagram in (b"", b"\xff", b"<Sen/>", bench.reply(telegram.ipoc).replace(b"0.0", b"nan")):
@@ -121,7 +121,7 @@ def test_the_time_stamp_steps_by_the_cycle_in_milliseconds(cycle_s: float, step:
     ("setting", "cell", "step"),
     [(None, None, 12), (1, None, 1), (None, 1, 1), (1, 12, 1), ("ms", 1, 12), (7, None, 7)],
 )
-def test_the_time_stamp_steps_as_the_settings_say_or_else_the_cell(
+def test_the_step_of_the_time_stamp_comes_from_the_settings_or_the_cell(
     setting: int | str | None, cell: int | None, step: int
 ) -> None:
     bench = Bench(ipoc_step=setting, driver={"ipoc_step": cell})
@@ -130,7 +130,7 @@ def test_the_time_stamp_steps_as_the_settings_say_or_else_the_cell(
     assert bench.krc.sample.counters["accepted"] == 4
 
 
-def test_a_time_stamp_that_counts_cycles_wraps_at_32_bit_and_tells_late_from_future() -> None:
+def test_a_cycle_counting_time_stamp_wraps_at_32_bit_and_distinguishes_late_from_future() -> None:
     bench = Bench(ipoc_step=1, ipoc_start=2**32 - 2)
     assert [bench.cycle().ipoc for _ in range(4)] == [2**32 - 2, 2**32 - 1, 0, 1]
     bench.silent(2)
@@ -184,7 +184,7 @@ def test_each_generation_has_its_own_budget_unless_the_settings_choose(krc: str,
 
 
 @pytest.mark.parametrize("krc", ["krc2", "krc4"])
-def test_a_reply_that_is_missing_because_the_controller_was_held_up_does_not_count_against_the_pc(
+def test_a_reply_missing_by_a_stall_of_the_controller_does_not_count_against_the_pc(
     krc: str,
 ) -> None:
     bench = Bench(krc=krc, late_budget=3, late_percent=0.3)
@@ -199,7 +199,7 @@ def test_a_reply_that_is_missing_because_the_controller_was_held_up_does_not_cou
     assert bench.krc.state is KrcState.STOPPED
 
 
-def test_a_pc_that_is_silent_for_long_is_late_however_often_the_controller_is_held_up() -> None:
+def test_a_long_silent_pc_is_late_despite_stalls_of_the_controller() -> None:
     bench = Bench(late_budget=3)
     bench.cycle()
     silent = 1

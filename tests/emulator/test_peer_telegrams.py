@@ -109,7 +109,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("form", REPLIES)
-def test_the_emulated_krc_takes_replies_in_the_form_of(form: str) -> None:
+def test_the_emulated_krc_accepts_the_reply_format_of(form: str) -> None:
     reply = KRC.decode(REPLIES[form])
     assert (reply.type, reply.ipoc) == ("ImFree", 4208163634)
     assert reply.present.all()
@@ -119,7 +119,7 @@ def test_the_emulated_krc_takes_replies_in_the_form_of(form: str) -> None:
 
 
 @pytest.mark.parametrize("form", TELEGRAMS)
-def test_the_robot_server_takes_telegrams_in_the_form_of(form: str) -> None:
+def test_the_robot_server_accepts_the_telegram_format_of(form: str) -> None:
     telegram = PC.decode(TELEGRAMS[form])
     assert (telegram.ipoc, telegram.delay, telegram.inputs) == (4208163634, 3, {"closed": True})
     assert telegram.q is not None
@@ -133,7 +133,7 @@ def test_the_robot_server_refuses(why: str) -> None:
         PC.decode(REFUSED[why])
 
 
-def test_the_emulated_krc_and_the_robot_server_take_each_other() -> None:
+def test_the_emulated_krc_and_the_robot_server_accept_each_other() -> None:
     q = np.deg2rad(CORRECTION_DEG)
     telegram = PC.decode(KRC.encode(KrcReport(7, q, 0 * q, (0.0,) * 6, (0.0,) * 6, 0, {})))
     assert telegram.q == pytest.approx(q, abs=1e-6)
@@ -148,7 +148,7 @@ def rsipi_telegram(file: Path) -> bytes:
 
 
 @pytest.mark.parametrize(("robot", "joints"), [("fr", ARM), ("gr", ("e1", "e2", "e3", *ARM))])
-def test_the_robot_server_takes_what_rsipis_controller_makes_of_our_files(
+def test_the_robot_server_accepts_telegrams_of_the_controller_of_rsipi_with_our_files(
     robot: str, joints: tuple[str, ...]
 ) -> None:
     file = resolve_near(find_cell("lab"), f"{robot}_ethernet.xml")
@@ -159,7 +159,7 @@ def test_the_robot_server_takes_what_rsipis_controller_makes_of_our_files(
     assert not telegram.q.any()
 
 
-def test_rsipis_controller_moves_tech_to_the_end_which_no_krc_does() -> None:
+def test_the_controller_of_rsipi_moves_tech_to_the_end_unlike_any_krc() -> None:
     """Its file has DEF_Tech before DiL; a real controller keeps that order."""
     file = Path(RSIPI.context("joints"))
     config = load_ethernet_xml(file)

@@ -78,7 +78,7 @@ def test_limits_monitors_and_ethernet_are_read_from_a_context(text: str) -> None
     assert np.rad2deg(limits.monitor) == pytest.approx([3.0, 6.0])
 
 
-def test_the_emulated_controller_clamps_and_stops_as_the_context_says() -> None:
+def test_the_emulated_controller_clamps_and_stops_by_the_context() -> None:
     context = parse_context_xml(RSI3.encode(), "fr.rsi.xml")
     bench = Bench(("a1",), context=context)
     bench.drive(-5e-4 * k for k in range(200))
@@ -127,7 +127,7 @@ def test_several_files_are_one_application(tmp_path: Path) -> None:
     assert (context.timeout, context.correction, context.monitor) == (40, "relative", {"A1": 3.0})
 
 
-def test_a_context_by_others_is_read() -> None:
+def test_a_published_context_is_read() -> None:
     theirs = Path(RSIPI.__file__).parent / "contexts" / "RSIPI_Joints.rsi.xml"
     context = read_context([theirs])
     assert set(context.corrected) == {f"A{i}" for i in range(1, 7)}
@@ -153,7 +153,7 @@ def test_a_context_that_cannot_be_used_is_refused_with_the_place(old: str, new: 
     assert message in str(caught.value)
 
 
-def test_files_that_are_no_context_or_not_there_are_refused(tmp_path: Path) -> None:
+def test_missing_files_and_other_formats_are_refused(tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match=r"none\.rsi\.xml: cannot be read"):
         read_context([tmp_path / "none.rsi.xml"])
     with pytest.raises(SettingsError, match="has no RSIObject"):

@@ -86,7 +86,7 @@ def test_every_station_of_a_running_cell_is_stamped(tmp_path: Path) -> None:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("base", ["lab", pytest.param("lab-4ms", marks=NEEDS_CORES)])
-def test_the_command_tells_every_run(tmp_path: Path, base: str) -> None:
+def test_the_command_reports_every_run(tmp_path: Path, base: str) -> None:
     cell = str(write_private_cell(tmp_path, base))
     command = [
         PROGRAM,

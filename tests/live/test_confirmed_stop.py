@@ -13,7 +13,7 @@ from deltaq_protocol.reasons import ReasonCode
 pytestmark = pytest.mark.live
 
 
-def test_done_is_what_robots_have_shown_and_a_robot_that_is_gone_is_not_said_to_be_stopped(
+def test_a_stop_is_confirmed_by_measured_rest_and_never_for_a_lost_robot(
     moving_stack: SharedStack,
 ) -> None:
     stack = moving_stack

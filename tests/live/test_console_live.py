@@ -116,7 +116,7 @@ def test_a_stop_in_motion_ends_at_rest_and_a_reset_ends_it(cell):
     cell.until(at_rest_and_free)
 
 
-def test_a_page_that_goes_in_motion_leaves_the_robot_at_rest_and_free(cell):
+def test_a_page_closed_in_motion_leaves_the_robot_at_rest_and_free(cell):
     with browser(cell, "desk") as desk:
         desk.moves(cell)
         desk.socket.socket.shutdown(socket.SHUT_RDWR)
@@ -126,7 +126,7 @@ def test_a_page_that_goes_in_motion_leaves_the_robot_at_rest_and_free(cell):
         assert cell.robot().lease.holder == "tower (console)"
 
 
-def test_the_hli_goes_and_comes_back_and_the_console_stays(cell):
+def test_the_console_survives_a_restart_of_the_hli(cell):
     with browser(cell, "desk") as desk:
         os.killpg(cell.launcher.children["hli"].pid, signal.SIGKILL)
         # a query may fail before the newest state has become old

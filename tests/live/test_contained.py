@@ -106,7 +106,7 @@ def stack(tmp_path: Path, network: str) -> Iterator[Stack]:
             container.kill()
 
 
-def test_the_stack_comes_up_without_root_moves_a_robot_and_ends_in_order(stack: Stack) -> None:
+def test_the_stack_starts_without_root_moves_a_robot_and_stops_in_order(stack: Stack) -> None:
     console = stack.start("console")
     hli = stack.start("hli")
     for container in (hli, console):
@@ -134,7 +134,7 @@ def test_the_stack_comes_up_without_root_moves_a_robot_and_ends_in_order(stack: 
     assert set(statuses.values()) == {0}, {name: stack.running[name].text() for name in statuses}
 
 
-def test_nobody_else_enters_the_sockets_folder_and_no_service_writes_to_what_it_runs_from(
+def test_the_socket_folder_is_private_and_services_cannot_write_to_their_code(
     stack: Stack,
 ) -> None:
     folder = stack.volumes["guarded"]
@@ -161,7 +161,7 @@ def test_nobody_else_enters_the_sockets_folder_and_no_service_writes_to_what_it_
     assert subprocess.run(stranger, capture_output=True, check=False).returncode
 
 
-def test_a_robot_server_that_is_killed_in_its_container_leaves_behind_what_brakes_its_robot(
+def test_after_a_robot_server_is_killed_in_its_container_the_brake_process_stops_its_robot(
     stack: Stack,
 ) -> None:
     server = stack.start("robot-server-fr")

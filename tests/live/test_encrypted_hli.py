@@ -119,7 +119,7 @@ def test_only_clients_with_an_identity_connect_and_traffic_is_encrypted(tmp_path
                 stack.wait_cycles(1)
 
 
-def test_without_encryption_it_is_all_read_along(tmp_path, folder, monkeypatch):
+def test_without_encryption_an_eavesdropper_reads_all_traffic(tmp_path, folder, monkeypatch):
     """The control: the same tap at the same place."""
     with stack_over("tcp", tmp_path) as stack:
         monkeypatch.setenv(CLIENT_IDENTITY, str(folder / "controller-tower"))

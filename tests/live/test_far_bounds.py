@@ -42,7 +42,7 @@ CUT_CYCLES = 167
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("bound", BOUNDS, ids=lambda bound: bound.link)
-def test_a_follower_far_away_keeps_the_bound_of_its_link(bound: FarBound, seed: int) -> None:
+def test_a_remote_follower_keeps_the_bound_of_its_link(bound: FarBound, seed: int) -> None:
     module, options = module_and_options(bound, seed)
     command = [sys.executable, "-m", module, *options]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
@@ -63,7 +63,7 @@ def follow(running: TwoSites, *arguments: str) -> tuple[Running, Running]:
     return leader, follower
 
 
-def test_two_seconds_without_a_link_cost_the_leases_and_nothing_else(tmp_path: Path) -> None:
+def test_two_seconds_without_a_link_cost_only_the_leases(tmp_path: Path) -> None:
     record = tmp_path / "run.mcap"
     with sites() as made, packet_link(made.controller, made.office, seed=5) as link:
         made.connect_wide_area()

@@ -76,7 +76,7 @@ def test_an_impossible_motion_raises_an_error_with_reason_value_and_bound(ready_
             robot.home()
 
 
-def test_the_same_names_serve_asyncio_and_a_task_that_is_cancelled_leaves_the_robot_at_rest(ready_stack):
+def test_asyncio_has_the_same_names_and_a_cancelled_task_leaves_the_robot_at_rest(ready_stack):
     async def drive() -> np.ndarray:
         async with aio.connect(ready_stack.cell.hli) as cell, cell.lease("fr") as robot:
             first, *others = robot.summary.home

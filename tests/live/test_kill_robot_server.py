@@ -38,7 +38,7 @@ def assert_goes_on(stack):
     assert stack.phase()[0] in MAY_MOVE
 
 
-def test_killing_a_robot_server_brakes_its_robot_ends_its_motion_and_a_restart_goes_on(moving_stack):
+def test_killing_a_robot_server_brakes_its_robot_and_a_restart_resumes_control(moving_stack):
     stack = moving_stack
     name = "robot-server-fr"
     brake = beside(stack.launcher.children[name].pid)
@@ -52,7 +52,7 @@ def test_killing_a_robot_server_brakes_its_robot_ends_its_motion_and_a_restart_g
     assert_goes_on(stack)
 
 
-def test_a_brake_process_that_is_killed_is_missed_replaced_and_its_robot_held_meanwhile(moving_stack):
+def test_a_killed_brake_process_is_replaced_and_its_robot_held_until_then(moving_stack):
     stack, name = moving_stack, "robot-server-fr"
     first = beside(stack.launcher.children[name].pid)
     signal.pidfd_send_signal(first, signal.SIGKILL)

@@ -26,7 +26,7 @@ from deltaq_testing.replay import replay
 pytestmark = pytest.mark.live
 
 
-def test_a_moving_cell_is_recorded_to_the_last_bit_and_outlives_a_recorder_whose_disk_is_full(
+def test_a_moving_cell_is_recorded_completely_and_survives_a_recorder_with_a_full_disk(
     moving_stack: SharedStack, tmp_path: Path
 ) -> None:
     stack, cell = moving_stack, str(moving_stack.file)

@@ -129,7 +129,7 @@ def lines(port):
         yield Lines(sock)
 
 
-def test_lines_that_a_client_sent_into_a_dead_wire_are_refused_as_stale_when_they_arrive(stack):
+def test_lines_sent_into_a_cut_link_are_refused_as_stale_on_arrival(stack):
     with lines(stack.lines_port) as client:
         stack.made_ready()
         client.move(10)
@@ -154,7 +154,7 @@ def test_lines_that_a_client_sent_into_a_dead_wire_are_refused_as_stale_when_the
         client.move(5)  # and what is fresh moves it
 
 
-def test_a_connection_that_was_cut_leaves_neither_a_queue_nor_a_lease(stack):
+def test_a_cut_connection_leaves_neither_a_queue_nor_a_lease(stack):
     with lines(stack.lines_port) as client:
         stack.made_ready()
         client.move(10)
@@ -175,7 +175,7 @@ def test_a_connection_that_was_cut_leaves_neither_a_queue_nor_a_lease(stack):
         assert (stack.live.setpoint() == rest).all()
 
 
-def test_increments_that_were_published_into_a_dead_wire_never_move_the_robot(stack):
+def test_increments_published_into_a_cut_link_never_move_the_robot(stack):
     stack.made_ready()
     key = {topic: topic.key("lab", robot="fr") for topic in (topics.INCREMENT, topics.LEASE, topics.VERDICT)}
     beside = open_session(connect=[stack.cell.hli], must_connect=True)

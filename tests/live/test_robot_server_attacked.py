@@ -126,7 +126,7 @@ def test_a_sender_that_cannot_be_answered_is_dropped(attacked):
         attacked.count("telegrams_foreign")
 
 
-def test_a_krc_whose_port_is_closed_ends_nothing_and_may_come_from_another(attacked):
+def test_a_closed_krc_port_ends_no_process_and_the_krc_may_return_from_another(attacked):
     attacked.krc.send(telegram(attacked.ipoc + 12))
     attacked.krc.close()
     attacked.krc = socket.socket(type=socket.SOCK_DGRAM)
@@ -146,7 +146,7 @@ def test_a_krc_whose_port_is_closed_ends_nothing_and_may_come_from_another(attac
     attacked.count("telegrams_second_krc")
 
 
-def test_told_to_end_it_tells_the_krc_to_end_the_motion_and_does(attacked):
+def test_on_sigterm_the_robot_server_ends_the_motion_on_the_krc_and_exits(attacked):
     assert attacked.cycle().outputs == {"stop": False}
     attacked.process.send_signal(signal.SIGTERM)
     stops = 0
@@ -155,7 +155,7 @@ def test_told_to_end_it_tells_the_krc_to_end_the_motion_and_does(attacked):
     assert attacked.process.wait(PATIENCE_S) == 0
 
 
-def test_told_twice_it_ends_at_once(attacked):
+def test_a_second_sigterm_ends_the_robot_server_at_once(attacked):
     attacked.process.send_signal(signal.SIGTERM)
     assert attacked.cycle()  # the first was taken, or is by the time the second comes
     attacked.process.send_signal(signal.SIGTERM)

@@ -62,7 +62,7 @@ def wait_until_led(running: TwoSites, leader: Running) -> None:
 
 
 @pytest.mark.nightly
-def test_robots_rest_when_their_site_is_cut_off_and_go_on_by_the_documented_road(running: TwoSites) -> None:
+def test_robots_stop_when_their_site_is_cut_off_and_resume_as_documented(running: TwoSites) -> None:
     office, robots = running.identities
     assert [one.name for one in office.iterdir()] == ["hli"], "who breaks in there cannot speak as the gate"
     assert sorted(one.name for one in robots.iterdir()) == ["robot-server-fr", "robot-server-gr", "sim"]
@@ -97,7 +97,7 @@ def test_robots_rest_when_their_site_is_cut_off_and_go_on_by_the_documented_road
 
 
 @pytest.mark.nightly
-def test_measuring_that_is_told_to_end_leaves_neither_networks_nor_programs() -> None:
+def test_an_interrupted_measurement_leaves_neither_networks_nor_processes() -> None:
     command = [sys.executable, "-m", "studies.two_sites", "--duration-s", "600"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as measuring:
         assert measuring.stderr is not None

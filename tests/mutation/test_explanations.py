@@ -21,14 +21,14 @@ def source_of(mutant: Mutant) -> str:
     return ast.get_source_segment(text, scope) or ""
 
 
-def test_there_are_explanations() -> None:
+def test_explanations_exist() -> None:
     assert len(EXPLAINED) > 10
 
 
 @pytest.mark.parametrize(
     "mutant", EXPLAINED, ids=lambda mutant: f"{mutant.function}-{mutant.change[-1]}"[:80]
 )
-def test_the_line_that_a_mutant_changes_is_there(mutant: Mutant) -> None:
+def test_the_mutated_line_of_each_explanation_exists(mutant: Mutant) -> None:
     lines = {line.strip() for line in textwrap.dedent(source_of(mutant)).splitlines()}
     taken_out = [line[1:] for line in mutant.change if line.startswith("-")]
     assert taken_out
@@ -40,7 +40,7 @@ def test_explained_mutants_belong_to_mutated_files() -> None:
     assert {mutant.file for mutant in EXPLAINED} <= set(SETTINGS["only_mutate"])
 
 
-def test_files_that_are_mutated_and_tests_that_judge_are_there_and_listed_once() -> None:
+def test_mutated_files_and_judging_tests_exist_and_are_listed_once() -> None:
     mutated, judges = SETTINGS["only_mutate"], SETTINGS["pytest_add_cli_args_test_selection"]
     paths = [
         *(PACKAGES[file.partition("/")[0]] / file for file in mutated),

@@ -12,6 +12,6 @@ def test_every_mutant_of_the_brake_is_killed_or_explained() -> None:
 
 @pytest.mark.nightly
 @pytest.mark.timeout(900)
-def test_a_survivor_that_is_not_explained_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unexplained_survivor_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("judge_mutants.explained", lambda: {})
     assert main(1, ["deltaq_protocol.brake"]) == 1

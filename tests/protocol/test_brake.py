@@ -10,7 +10,7 @@ increments = st.lists(st.floats(-0.05, 0.05), min_size=1, max_size=9).map(np.arr
 
 
 @given(increments)
-def test_no_joint_exceeds_its_deceleration_and_the_end_is_rest(dq):
+def test_the_brake_keeps_every_deceleration_and_ends_at_rest(dq):
     max_dv = np.linspace(0.0005, 0.002, dq.size)
     cycles = brake_cycles(dq, max_dv)
     sent = np.array([brake_increment(dq, cycles, step) for step in range(cycles + 3)])

@@ -78,7 +78,7 @@ async def test_connecting_without_a_listener_fails_with_address_and_remedy() -> 
             pass
 
 
-async def test_a_peer_that_serves_no_cell_is_not_taken_for_one() -> None:
+async def test_a_peer_without_a_cell_is_not_a_server() -> None:
     somewhere = endpoint()
     session = open_session(listen=[somewhere])
     try:
@@ -89,7 +89,7 @@ async def test_a_peer_that_serves_no_cell_is_not_taken_for_one() -> None:
         session.close()
 
 
-async def test_a_server_of_another_version_is_refused_though_its_description_has_other_fields() -> None:
+async def test_a_server_of_another_version_is_refused_despite_unknown_fields() -> None:
     somewhere = endpoint()
     session = open_session(listen=[somewhere])
     key = topics.DESCRIPTION.key("other")
@@ -116,7 +116,7 @@ async def test_a_server_of_another_version_is_refused_though_its_description_has
         ((), ReasonCode.BAD_SHAPE),
     ],
 )
-async def test_a_bad_increment_comes_back_refused_and_the_next_one_is_admitted(
+async def test_a_bad_increment_is_refused_and_the_next_one_admitted(
     running: Running, dq: tuple[float, ...], code: ReasonCode
 ) -> None:
     async with running.cell.lease("fr") as robot:
@@ -125,7 +125,7 @@ async def test_a_bad_increment_comes_back_refused_and_the_next_one_is_admitted(
         assert (await robot.move(DQ)).outcome is Outcome.ADMITTED
 
 
-async def test_a_lease_that_another_holds_is_refused_with_its_name_and_a_hint(running: Running) -> None:
+async def test_a_held_lease_is_refused_with_the_holder_and_a_hint(running: Running) -> None:
     async with running.cell.lease("fr", client="first"):
         with pytest.raises(RefusedError, match="first holds it") as refused:
             async with running.cell.lease("fr", client="second"):
@@ -134,7 +134,7 @@ async def test_a_lease_that_another_holds_is_refused_with_its_name_and_a_hint(ru
         assert "take=True" in refused.value.hint
 
 
-async def test_a_robot_that_the_cell_does_not_have_is_refused_with_those_it_has(running: Running) -> None:
+async def test_an_unknown_robot_is_refused_with_the_known_ones(running: Running) -> None:
     with pytest.raises(RefusedError, match="fr, gr"):
         async with running.cell.lease("ghost"):
             pass
@@ -142,7 +142,7 @@ async def test_a_robot_that_the_cell_does_not_have_is_refused_with_those_it_has(
         await anext(running.cell.states("ghost"))
 
 
-async def test_when_the_lease_is_taken_move_and_states_raise_and_leaving_does_not_disturb_the_new_holder(
+async def test_a_revoked_lease_raises_in_move_and_states_and_leaving_does_not_disturb_the_new_holder(
     running: Running,
 ) -> None:
     async with running.cell.lease("fr", client="first") as first:
@@ -157,7 +157,7 @@ async def test_when_the_lease_is_taken_move_and_states_raise_and_leaving_does_no
             assert (await second.move(DQ)).outcome is Outcome.ADMITTED
 
 
-async def test_a_foreign_increment_with_our_number_is_not_read_and_ours_gets_its_verdict(
+async def test_a_foreign_increment_with_our_number_does_not_take_our_verdict(
     running: Running,
 ) -> None:
     running.peer.judges = False
@@ -195,7 +195,7 @@ async def test_an_increment_on_the_key_of_another_robot_is_refused(running: Runn
     assert running.peer.increments.empty()
 
 
-async def test_where_a_verdict_is_lost_move_says_so_and_the_next_one_goes_on(running: Running) -> None:
+async def test_a_lost_verdict_raises_in_move_and_the_next_move_succeeds(running: Running) -> None:
     running.peer.judges = False
     async with running.cell.lease("fr") as robot:
         lost = await robot.move(DQ)
@@ -206,7 +206,7 @@ async def test_where_a_verdict_is_lost_move_says_so_and_the_next_one_goes_on(run
         assert (answered.seq, answered.outcome is Outcome.UNKNOWN) == (2, False)
 
 
-async def test_a_verdict_that_is_lost_is_missing_among_those_that_come(running: Running) -> None:
+async def test_a_lost_verdict_is_missing_in_the_stream(running: Running) -> None:
     async with running.cell.lease("fr") as robot:
         verdicts = robot.verdicts()
         for judges in (True, False, True):
@@ -219,7 +219,7 @@ async def test_a_verdict_that_is_lost_is_missing_among_those_that_come(running: 
 
 
 @pytest.mark.long
-async def test_whoever_sends_and_never_reads_a_verdict_keeps_the_newest(running: Running) -> None:
+async def test_a_client_that_reads_no_verdicts_keeps_the_newest(running: Running) -> None:
     async with running.cell.lease("fr") as robot:
         for seq in range(1, 1501):
             await robot.send(DQ)
@@ -228,7 +228,7 @@ async def test_whoever_sends_and_never_reads_a_verdict_keeps_the_newest(running:
         assert (await anext(robot.verdicts())).seq == 1500 - 1024 + 1
 
 
-async def test_a_verdict_on_what_was_never_sent_is_not_taken_for_ours(running: Running) -> None:
+async def test_a_verdict_on_an_unsent_increment_is_ignored(running: Running) -> None:
     async with running.cell.lease("fr") as robot:
         foreign = Verdict(robot="fr", cycle=1, seq=77, outcome=Outcome.ADMITTED, dq=DQ)
         robot.take_verdict(foreign)
@@ -236,7 +236,7 @@ async def test_a_verdict_on_what_was_never_sent_is_not_taken_for_ours(running: R
         assert (await anext(robot.verdicts())).seq == 1
 
 
-async def test_when_the_lease_is_taken_sending_and_its_verdicts_raise(running: Running) -> None:
+async def test_a_revoked_lease_raises_in_send_and_verdicts(running: Running) -> None:
     async with running.cell.lease("fr", client="first") as first:
         await first.send(DQ)
         assert (await anext(first.verdicts())).outcome is Outcome.ADMITTED
@@ -248,14 +248,14 @@ async def test_when_the_lease_is_taken_sending_and_its_verdicts_raise(running: R
                 await first.send(DQ)
 
 
-async def test_without_a_state_there_is_nothing_to_answer(running: Running) -> None:
+async def test_sending_without_a_received_state_raises(running: Running) -> None:
     async with running.cell.lease("gr") as robot:
         for ask in (robot.move, robot.send):
             with pytest.raises(ServiceUnreachableError, match="no state of gr"):
                 await ask((0.0,) * 9)
 
 
-async def test_when_the_server_ends_waiting_for_states_raises() -> None:
+async def test_waiting_for_states_raises_if_the_server_ends() -> None:
     description = small_cell()
     async with guarded_peer(description) as peer:
         hli = Hli(description, told(description), tool_pose)
@@ -268,7 +268,7 @@ async def test_when_the_server_ends_waiting_for_states_raises() -> None:
                     pass
 
 
-async def test_a_server_that_restarts_is_found_again_and_the_old_lease_is_worth_nothing() -> None:
+async def test_a_restarted_server_is_found_again_and_voids_the_old_lease() -> None:
     description = small_cell()
     async with guarded_peer(description) as peer:
         hli = Hli(description, told(description), tool_pose)
@@ -293,7 +293,7 @@ class _OwnError(Exception):
 
 
 @pytest.mark.parametrize("road", ["end", "error", "cancel"])
-async def test_leaving_the_block_by_any_road_releases_the_lease_and_latches_nothing(
+async def test_every_exit_from_the_block_releases_the_lease_without_holding_the_robot(
     running: Running, road: str
 ) -> None:
     inside = asyncio.Event()
@@ -333,7 +333,7 @@ async def test_a_cell_and_a_lease_are_opened_and_closed_without_a_block(running:
     assert running.peer.commands.empty()
 
 
-async def test_closing_the_connection_gives_its_leases_back_first(running: Running) -> None:
+async def test_closing_the_connection_releases_its_leases_first(running: Running) -> None:
     connection = connect(running.hli._cell.hli, client="notebook")
     cell = await connection.open()
     robot = await cell.lease("fr").open()
@@ -363,7 +363,7 @@ async def test_a_client_that_vanishes_while_it_moves_a_robot_stops_it(running: R
 # --- what goes right ---------------------------------------------------------------------------------
 
 
-async def test_a_controller_answers_states_with_increments_and_gets_back_what_was_admitted(
+async def test_a_controller_answers_states_with_increments_and_gets_the_admitted_ones(
     running: Running,
 ) -> None:
     async with running.cell.lease("fr") as robot:
@@ -379,7 +379,7 @@ async def test_a_controller_answers_states_with_increments_and_gets_back_what_wa
     assert seqs == list(range(1, 21))
 
 
-async def test_a_controller_that_does_not_wait_sends_one_increment_a_cycle_and_gets_every_verdict(
+async def test_a_non_blocking_controller_sends_one_increment_a_cycle_and_gets_every_verdict(
     running: Running,
 ) -> None:
     async with running.cell.lease("fr") as robot:
@@ -395,7 +395,7 @@ async def test_a_controller_that_does_not_wait_sends_one_increment_a_cycle_and_g
 
 
 @pytest.mark.long
-async def test_the_lease_is_renewed_by_itself_for_longer_than_it_lasts(running: Running) -> None:
+async def test_the_client_renews_its_lease_automatically(running: Running) -> None:
     async with running.cell.lease("fr") as robot:
         until = asyncio.get_running_loop().time() + 1.6 * running.hli._cell.lease_s
         async for _ in robot.states():
@@ -404,7 +404,7 @@ async def test_the_lease_is_renewed_by_itself_for_longer_than_it_lasts(running: 
         assert (await robot.move(DQ)).outcome is Outcome.ADMITTED
 
 
-async def test_a_slow_reader_of_states_skips_and_sees_the_newest(running: Running) -> None:
+async def test_a_slow_reader_of_states_skips_to_the_newest(running: Running) -> None:
     states = running.cell.states("fr")
     first = await anext(states)
     async with asyncio.timeout(300):
@@ -431,14 +431,14 @@ async def test_stop_reset_and_status_are_answered_from_the_running_cell(running:
     assert status.hli["stops"] == 1
 
 
-async def test_the_description_brings_everything_needed_to_model_the_cell(running: Running) -> None:
+async def test_the_description_suffices_to_model_the_cell(running: Running) -> None:
     assert running.cell.description.urdf == {"fr": "<robot/>", "gr": "<robot/>"}
     assert running.cell.robots["gr"].units == ("m",) * 3 + ("rad",) * 6
     assert running.cell.robots["fr"].max_increment[0] == pytest.approx(math.radians(90) * 0.012)
 
 
 @pytest.mark.parametrize("lost", [{0}, {4}, {0, 1, 2, 3}, {1, 2, 3, 4}])
-async def test_a_round_trip_is_told_though_a_busy_machine_loses_some(
+async def test_the_round_trip_is_measured_despite_lost_answers(
     running: Running, monkeypatch: pytest.MonkeyPatch, lost: set[int]
 ) -> None:
     asked, status = iter(range(5)), running.cell.status
@@ -452,7 +452,7 @@ async def test_a_round_trip_is_told_though_a_busy_machine_loses_some(
     assert 0.0 < await running.cell.round_trip_s() < 1.0
 
 
-async def test_a_round_trip_of_which_all_are_lost_has_no_length(
+async def test_without_any_answer_the_round_trip_is_unknown(
     running: Running, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked = []
@@ -468,7 +468,7 @@ async def test_a_round_trip_of_which_all_are_lost_has_no_length(
 
 
 @pytest.mark.parametrize(("lost", "is_there"), [(1, True), (2, False)])
-async def test_one_question_that_a_stalled_machine_loses_does_not_make_the_server_gone(
+async def test_one_lost_question_does_not_count_as_a_lost_server(
     monkeypatch: pytest.MonkeyPatch, lost: int, is_there: bool
 ) -> None:
     description, asked, status = small_cell(), [], Cell.status

@@ -35,7 +35,7 @@ def client_threads() -> list[threading.Thread]:
     return [thread for thread in threading.enumerate() if thread.name == "deltaq client"]
 
 
-def test_a_script_whose_cell_is_not_up_ends_with_one_line() -> None:
+def test_a_script_without_a_running_cell_ends_with_one_line() -> None:
     script = f"from deltaq_protocol.blocking import connect\nwith connect({endpoint()!r}): pass\n"
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=300
@@ -50,7 +50,7 @@ def test_connecting_without_a_listener_fails_and_leaves_no_thread() -> None:
     assert client_threads() == []
 
 
-def test_a_script_answers_states_and_gets_back_what_was_admitted(cell: BlockingCell) -> None:
+def test_a_script_answers_states_and_gets_the_admitted_increments(cell: BlockingCell) -> None:
     with cell.lease("fr") as robot:
         verdicts = [robot.move(DQ) for _, state in zip(range(5), robot.states(), strict=False)]
         assert robot.state is not None
@@ -87,7 +87,7 @@ def test_leaving_ends_the_thread_though_an_iterator_is_still_open(server: Server
     del verdicts
 
 
-def test_stop_reset_io_and_status_have_their_blocking_twins(cell: BlockingCell, server: Server) -> None:
+def test_stop_reset_io_and_status_have_blocking_forms(cell: BlockingCell, server: Server) -> None:
     assert cell.stop().what == "stop"
     assert cell.reset("fr").what == "reset fr"
     assert cell.robots["gr"].joints[0] == "e1"
@@ -99,7 +99,7 @@ def test_stop_reset_io_and_status_have_their_blocking_twins(cell: BlockingCell, 
         server.peer.commands.get_nowait()
 
 
-def test_a_script_that_does_not_wait_sends_one_increment_a_state_and_gets_every_verdict(
+def test_a_non_blocking_script_sends_one_increment_a_state_and_gets_every_verdict(
     cell: BlockingCell,
 ) -> None:
     with cell.lease("fr") as robot:
@@ -109,7 +109,7 @@ def test_a_script_that_does_not_wait_sends_one_increment_a_state_and_gets_every_
     assert sorted(verdict.seq for verdict in got) == sent == list(range(1, 31))
 
 
-def test_when_the_lease_is_taken_a_script_is_told_by_its_next_increment(cell: BlockingCell) -> None:
+def test_a_revoked_lease_raises_at_the_next_increment_of_a_script(cell: BlockingCell) -> None:
     with cell.lease("fr", client="first") as first:
         first.move(DQ)
         with (
@@ -119,7 +119,7 @@ def test_when_the_lease_is_taken_a_script_is_told_by_its_next_increment(cell: Bl
             first.move(DQ)
 
 
-def test_sending_without_a_lease_or_to_a_closed_connection_is_told(server: Server) -> None:
+def test_sending_without_a_lease_or_connection_raises(server: Server) -> None:
     cell = connect(server.description.hli, client="notebook").open()
     with cell.lease("fr") as robot:
         robot.send(DQ)
@@ -130,9 +130,7 @@ def test_sending_without_a_lease_or_to_a_closed_connection_is_told(server: Serve
         cell.status()
 
 
-def test_a_notebook_opens_and_closes_cell_and_lease_and_no_thread_stays(
-    cell: BlockingCell, server: Server
-) -> None:
+def test_a_notebook_closes_cell_and_lease_and_no_thread_remains(cell: BlockingCell, server: Server) -> None:
     before = client_threads()
     notebook = connect(server.description.hli, client="notebook").open()
     robot = notebook.lease("fr").open()
@@ -183,7 +181,7 @@ SCRIPTS = {
 
 @pytest.mark.service
 @pytest.mark.parametrize("script", SCRIPTS.values(), ids=SCRIPTS.keys())
-def test_whoever_forgets_to_close_gives_the_lease_back_at_the_end_without_a_noise(
+def test_an_unclosed_lease_is_released_silently_at_exit(
     cell: BlockingCell, server: Server, script: str
 ) -> None:
     command = [sys.executable, "-c", script, server.description.hli]

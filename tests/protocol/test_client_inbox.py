@@ -42,7 +42,7 @@ async def test_with_a_capacity_of_one_only_the_newest_is_taken() -> None:
     assert taken == [999]
 
 
-async def test_a_flood_lets_the_loop_turn_to_others_in_between() -> None:
+async def test_a_flood_lets_other_tasks_of_the_loop_run() -> None:
     taken: list[int] = []
     inbox = ClientInbox(asyncio.get_running_loop(), taken.append, capacity=256)
     flood(inbox, 256)
@@ -53,7 +53,7 @@ async def test_a_flood_lets_the_loop_turn_to_others_in_between() -> None:
     assert len(taken) == 256
 
 
-async def test_an_item_that_cannot_be_taken_is_counted_and_logged_and_the_next_one_is_taken(
+async def test_a_failing_item_is_counted_and_logged_and_the_next_one_is_processed(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     taken: list[float] = []
@@ -65,7 +65,7 @@ async def test_an_item_that_cannot_be_taken_is_counted_and_logged_and_the_next_o
     assert "ZeroDivisionError" in caplog.text
 
 
-async def test_after_closing_nothing_is_taken_any_more() -> None:
+async def test_a_closed_inbox_processes_nothing() -> None:
     taken: list[int] = []
     inbox = ClientInbox(asyncio.get_running_loop(), taken.append, capacity=8)
     inbox.put(1)
@@ -75,7 +75,7 @@ async def test_after_closing_nothing_is_taken_any_more() -> None:
     assert taken == []
 
 
-def test_a_loop_that_has_ended_does_not_trouble_the_thread_that_puts() -> None:
+def test_putting_into_the_inbox_of_a_closed_loop_is_harmless() -> None:
     loop = asyncio.new_event_loop()
     inbox = ClientInbox[int](loop, print, capacity=8)
     loop.close()
@@ -96,7 +96,7 @@ def newest_of(decoded: list[str]) -> Newest[str, int]:
     return Newest(asyncio.get_running_loop(), decode)
 
 
-async def test_every_waiter_is_woken_and_gets_the_newest_value() -> None:
+async def test_every_waiter_wakes_with_the_newest_value() -> None:
     newest = newest_of([])
     waiting = [asyncio.create_task(newest.after(0, 10.0)) for _ in range(3)]
     await settled()
@@ -106,7 +106,7 @@ async def test_every_waiter_is_woken_and_gets_the_newest_value() -> None:
     assert await newest.after(1, 10.0) == (2, 2)
 
 
-async def test_whoever_has_seen_the_newest_value_waits_and_gives_up_at_the_deadline() -> None:
+async def test_a_reader_of_the_newest_value_waits_until_its_deadline() -> None:
     newest = newest_of([])
     newest.put("1")
     with pytest.raises(TimeoutError):
@@ -155,7 +155,7 @@ async def test_the_loop_is_not_woken_for_an_unawaited_sample(monkeypatch: pytest
     waiting.cancel()
 
 
-async def test_a_thread_that_waits_gets_a_value_that_another_thread_puts() -> None:
+async def test_a_waiting_thread_gets_the_value_of_another_thread() -> None:
     newest = newest_of([])
     began = threading.Event()
 
@@ -170,14 +170,14 @@ async def test_a_thread_that_waits_gets_a_value_that_another_thread_puts() -> No
     assert await waiting == (2, 2)
 
 
-async def test_a_thread_that_waits_gives_up_at_the_deadline() -> None:
+async def test_a_waiting_thread_gives_up_at_its_deadline() -> None:
     newest = newest_of([])
     newest.put("1")
     with pytest.raises(TimeoutError):
         newest.wait_after(1, 0.01)
 
 
-def test_a_loop_that_has_ended_does_not_trouble_the_thread_that_puts_the_newest() -> None:
+def test_putting_the_newest_value_for_a_closed_loop_is_harmless() -> None:
     loop = asyncio.new_event_loop()
     newest = Newest[str, int](loop, text_of_a_number)
     waiting = loop.create_task(newest.after(0, 10.0))

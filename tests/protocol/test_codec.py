@@ -101,26 +101,26 @@ def test_a_long_value_is_shown_shortened() -> None:
     "line",
     [b"", b"{", b"[]", b"3", b"null", b"\xff\xfe\xff", b"[" * 100_000, b'{"a":' * 100_000, b"9" * 10_000],
 )
-def test_a_line_that_is_not_one_json_object_is_malformed(line: bytes) -> None:
+def test_a_line_other_than_one_json_object_is_malformed(line: bytes) -> None:
     with pytest.raises(InvalidMessageError) as caught:
         line_to_map(line)
     assert caught.value.code is ReasonCode.MALFORMED
 
 
 @pytest.mark.parametrize("payload", [b"", b"\xc1", msgpack.packb([1]), msgpack.packb({1: 2}), b"\x81" * 5000])
-def test_bytes_that_are_no_msgpack_map_of_the_type_are_malformed(payload: bytes) -> None:
+def test_bytes_other_than_a_msgpack_map_of_the_type_are_malformed(payload: bytes) -> None:
     with pytest.raises(InvalidMessageError) as caught:
         unpack(Increment, payload)
     assert caught.value.code is ReasonCode.MALFORMED
 
 
-def test_a_message_beyond_the_bound_is_not_even_decoded() -> None:
+def test_an_oversized_message_is_not_decoded() -> None:
     with pytest.raises(InvalidMessageError, match=str(MAX_MESSAGE_BYTES)):
         unpack(Increment, b"\x00" * (MAX_MESSAGE_BYTES + 1))
 
 
 @given(st.binary(max_size=200))
-def test_any_bytes_raise_invalid_message_only(payload: bytes) -> None:
+def test_arbitrary_bytes_raise_only_invalid_message(payload: bytes) -> None:
     for decode in (lambda: unpack(Increment, payload), lambda: from_map(Increment, line_to_map(payload))):
         try:
             decode()
@@ -130,7 +130,7 @@ def test_any_bytes_raise_invalid_message_only(payload: bytes) -> None:
 
 @pytest.mark.long
 @given(JSON, st.dictionaries(st.sampled_from([*INCREMENT, "lease", "\ud800"]), JSON))
-def test_any_map_raises_invalid_message_only_and_its_text_can_be_sent(
+def test_arbitrary_maps_raise_only_invalid_message_with_a_sendable_text(
     data: Any, changes: dict[str, Any]
 ) -> None:
     for candidate in (data, INCREMENT | changes):
@@ -203,7 +203,7 @@ def refusal_of(kind: type[Message], data: object) -> str:
     return str(caught.value) + "".join(traceback.format_exception(caught.value))
 
 
-def test_every_field_for_a_token_is_known_as_a_secret() -> None:
+def test_every_token_field_is_marked_secret() -> None:
     named = {name for names in WITH_A_SECRET.values() for name in names}
     assert named == {"lease", "token", "challenge", "proof"}
     for kind, names in WITH_A_SECRET.items():
@@ -212,14 +212,14 @@ def test_every_field_for_a_token_is_known_as_a_secret() -> None:
 
 @pytest.mark.parametrize("kind", WITH_A_SECRET, ids=lambda kind: kind.__name__)
 @pytest.mark.parametrize("wrong", [[SECRET], {"a": SECRET}, {SECRET: 1}, SECRET.encode() + b"\xff"], ids=repr)
-def test_a_secret_of_another_type_is_told_by_its_kind(kind: type[Message], wrong: object) -> None:
+def test_a_secret_of_the_wrong_type_is_reported_by_its_type_alone(kind: type[Message], wrong: object) -> None:
     for name in WITH_A_SECRET[kind]:
         told = refusal_of(kind, {"type": "no such", name: wrong})
         assert SECRET not in told
 
 
 @pytest.mark.parametrize("kind", WITH_A_SECRET, ids=lambda kind: kind.__name__)
-def test_a_message_in_which_something_else_is_missing_or_too_much_is_not_quoted(kind: type[Message]) -> None:
+def test_an_error_in_another_field_does_not_quote_the_secret(kind: type[Message]) -> None:
     for name in WITH_A_SECRET[kind]:
         for data in (
             {name: SECRET},
@@ -233,7 +233,7 @@ def test_a_message_in_which_something_else_is_missing_or_too_much_is_not_quoted(
             assert SECRET not in refusal_of(kind, data)
 
 
-def test_the_words_still_say_which_field_is_wrong_and_what_is_allowed() -> None:
+def test_errors_beside_a_secret_name_the_wrong_field_and_the_allowed_values() -> None:
     hello = {"type": "hello", "token": SECRET}
     assert refusal_of(Hello, hello).startswith("protocol: Field required")
     assert refusal_of(Hello, hello | {"protocol": "a"}).startswith(
@@ -268,14 +268,14 @@ AROUND_A_SECRET = st.recursive(
 
 @pytest.mark.long
 @given(lease=AROUND_A_SECRET, extra=AROUND_A_SECRET, missing=st.sampled_from(["seq", "cycle", "dq"]))
-def test_no_increment_that_lacks_something_has_its_lease_quoted(lease: Any, extra: Any, missing: str) -> None:
+def test_an_incomplete_increment_does_not_show_its_lease(lease: Any, extra: Any, missing: str) -> None:
     data = {"type": "increment", "robot": "fr", "seq": 1, "cycle": 2, "dq": [0.0] * 6, "lease": lease}
     del data[missing]
     assert SECRET not in refusal_of(Increment, data)
     assert SECRET not in refusal_of(Increment, data | {"leese": extra})
 
 
-def test_names_and_values_that_strangers_made_up_are_shortened() -> None:
+def test_unknown_names_and_values_are_shortened() -> None:
     assert len(place(("x" * 1000, "y" * 1000))) < 140
     assert len(shown("x" * 1000)) == len(shown([1.0] * 1000)) == 80
     assert quoted("fr", "robot", Increment) == "'fr'"
@@ -301,7 +301,7 @@ def test_names_and_values_that_strangers_made_up_are_shortened() -> None:
         ({"plan": Plan(dq=(0.0,) * 9, brake_cycles=1, step=0)}, "plan.dq has 9 joints, q has 6"),
     ],
 )
-def test_a_state_whose_joints_are_not_the_same_everywhere_is_no_message(changes, told):
+def test_a_state_with_inconsistent_joint_counts_is_invalid(changes, told):
     state = server_state()
     assert unpack(ServerState, pack(state)) == state
     with pytest.raises(InvalidMessageError, match=told):

@@ -38,7 +38,7 @@ def test_a_socket_gets_host_and_port():
         ("tcp+udp/a:1", ("tcp", "udp")),
     ],
 )
-def test_an_endpoint_says_which_sockets_a_listener_has_there(text, sockets):
+def test_an_endpoint_lists_the_sockets_of_its_listener(text, sockets):
     assert Endpoint.parse(text).sockets == sockets
 
 

@@ -38,7 +38,7 @@ def meet(gate, server):
     gate.open(STATE, server.close(STATE, b"state"))
 
 
-def test_a_message_comes_out_as_it_went_in(gate, server):
+def test_an_opened_envelope_returns_the_message_unchanged(gate, server):
     assert gate.open(STATE, server.close(STATE, b"\x00state\xff")) == b"\x00state\xff"
 
 
@@ -50,7 +50,7 @@ def test_an_admission_is_addressed_to_the_known_process(gate, server):
         server.open(ADMISSION, early)
 
 
-def test_a_recording_says_nothing_to_a_process_that_began_after_it(gate, server):
+def test_a_replayed_message_is_ignored_by_a_newer_process(gate, server):
     meet(gate, server)
     recorded = [gate.close(ADMISSION, b"dq") for _ in range(3)]
     successor = process(FR)
@@ -59,7 +59,7 @@ def test_a_recording_says_nothing_to_a_process_that_began_after_it(gate, server)
             successor.open(ADMISSION, enclosed)
 
 
-def test_each_message_is_taken_once_and_none_after_a_newer_one(gate, server):
+def test_each_message_is_accepted_once_and_never_after_a_newer_one(gate, server):
     first, second = (server.close(STATE, text) for text in (b"first", b"second"))
     gate.open(STATE, second)
     for late in (second, first):
@@ -108,14 +108,14 @@ def test_a_misaddressed_message_replaces_no_peer(gate):
     assert gate.open(REQUEST, hli.close(REQUEST, b"dq")) == b"dq"
 
 
-def test_the_robot_servers_do_not_listen_to_one_another_nor_to_the_hli(server):
+def test_robot_servers_accept_no_message_of_each_other_or_of_the_hli(server):
     with pytest.raises(StaleMessageError, match="nothing there is for robot-server-fr"):
         server.open(STATE, process(FR).close(STATE, b"state"))
     with pytest.raises(StaleMessageError, match="nothing there is for robot-server-fr"):
         server.open(REQUEST, process(HLI).close(REQUEST, b"dq"))
 
 
-def test_a_message_that_was_damaged_or_put_under_another_key_is_invalid(gate, server):
+def test_a_damaged_message_or_one_under_another_key_is_invalid(gate, server):
     enclosed = server.close(STATE, b"state")
     damaged = [enclosed[:-1], b"", enclosed[:20]]
     damaged += [

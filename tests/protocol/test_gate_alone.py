@@ -121,7 +121,7 @@ def test_bad_input_is_refused_and_changes_nothing(gate, act, field, bound):
         ({"locked": {"panda_finger_joint1": "open"}}, "locked.panda_finger_joint1"),
     ],
 )
-def test_a_gate_that_cannot_be_is_refused(options, field):
+def test_impossible_arguments_of_a_gate_are_refused(options, field):
     with pytest.raises(GateError, match=rf"^{field}: "):
         panda(**options)
 
@@ -147,7 +147,7 @@ def test_a_urdf_without_limits_or_in_other_units_is_refused(tmp_path, old, new, 
         Gate.from_urdf(urdf, 0.004)
 
 
-def test_a_truth_value_is_no_limit_and_an_obstacle_has_a_shape(tmp_path):
+def test_boolean_limits_and_obstacles_without_a_shape_are_refused(tmp_path):
     urdf, limits = tmp_path / "one.urdf", tmp_path / "joint_limits.yaml"
     urdf.write_text(ONE, encoding="utf-8")
     limits.write_text(
@@ -165,7 +165,7 @@ ONE = """<robot name="one"><link name="base"/>
 <limit lower="-2" upper="2" velocity="1" effort="1"/></joint></robot>"""
 
 
-def test_every_limit_has_a_source(tmp_path):
+def test_every_limit_names_its_source(tmp_path):
     urdf, limits = tmp_path / "one.urdf", tmp_path / "joint_limits.yaml"
     urdf.write_text(ONE, encoding="utf-8")
     srdf = tmp_path / "one.srdf"
@@ -185,7 +185,7 @@ def test_every_limit_has_a_source(tmp_path):
     }
 
 
-def test_an_increment_is_admitted_limited_held_and_told_why(gate):
+def test_an_increment_is_admitted_limited_or_held_with_a_reason(gate):
     assert gate.step([5e-5] * 7).admitted
     step = gate.step([0.1] * 7)
     assert step.outcome is Outcome.SCALED
@@ -201,7 +201,7 @@ def test_an_increment_is_admitted_limited_held_and_told_why(gate):
     assert gate.step(-down).scale > 0.0
 
 
-def test_the_question_has_the_answer_of_the_step_and_no_effect(gate):
+def test_a_query_gives_the_verdict_of_the_step_without_effect(gate):
     asked = np.array([0, 1, 0, 0, 0, 0, 0]) * 0.004
     for _ in range(400):
         before = memory(gate)
@@ -214,7 +214,7 @@ def test_the_question_has_the_answer_of_the_step_and_no_effect(gate):
     assert gate.would_admit(READY, [1e-5] * 7).admitted
 
 
-def test_cycles_that_are_left_out_brake(gate):
+def test_omitted_cycles_brake_the_arm(gate):
     moving = np.array([1, 0, 0, 0, 0, 0, 0]) * 0.0005
     for number in range(50):
         step = gate.step(moving, time_s=number * 0.004)
@@ -227,7 +227,7 @@ def test_cycles_that_are_left_out_brake(gate):
         gate.step(SEVEN, time_s=0.0)
 
 
-def test_an_arm_off_its_path_is_stopped_until_a_reset(gate):
+def test_an_arm_off_its_path_is_held_until_a_reset(gate):
     gate.observe(np.array(READY) + 5e-5)
     assert gate.step([1e-5] * 7).admitted
     gate.observe(np.array(READY) + 0.1)
@@ -239,7 +239,7 @@ def test_an_arm_off_its_path_is_stopped_until_a_reset(gate):
     assert gate.step([1e-5] * 7).admitted
 
 
-def test_obstacles_come_move_and_go_between_steps(gate):
+def test_obstacles_are_added_moved_and_removed_between_steps(gate):
     hand = gate.cell.robots["arm"].forward(READY)[:3, 3]
     turn = [0.004, *SEVEN[1:]]
     far = Sphere(0.05, at=(2.0, 2.0, 2.0))
@@ -258,7 +258,7 @@ def test_obstacles_come_move_and_go_between_steps(gate):
     assert gate.step(turn).scale > 0.0
 
 
-def test_an_obstacle_within_the_stop_distance_lets_the_arm_leave_only(gate):
+def test_within_the_stop_distance_of_an_obstacle_the_arm_may_only_retreat(gate):
     down = np.array([0, 1, 0, 0, 0, 0, 0]) * 0.004
     while gate.step(down).dq.any():
         pass
@@ -273,7 +273,7 @@ def test_an_obstacle_within_the_stop_distance_lets_the_arm_leave_only(gate):
     assert distance_m(gate, "table") > 0.02
 
 
-def test_meshes_and_shapes_are_kept_clear_of(tmp_path):
+def test_the_arm_keeps_clear_of_meshes_and_shapes(tmp_path):
     urdf = tmp_path / "one.urdf"
     urdf.write_text(ONE, encoding="utf-8")
     cube = tmp_path / "cube.obj"
@@ -329,7 +329,7 @@ def test_several_arms_of_a_cell_keep_clear_of_each_other():
         gate.step([0.0] * 6)
 
 
-def test_importing_deltaq_loads_no_gate():
+def test_importing_deltaq_does_not_load_the_gate():
     program = (
         "import sys, deltaq; print([name for name in ('pinocchio', 'coal', 'numba') if name in sys.modules])"
     )
@@ -349,7 +349,7 @@ def test_the_urdf_may_be_a_path(tmp_path):
         ("gate_as_action_filter", "'structure/wall'"),
     ],
 )
-def test_an_example_is_short_and_kept_clear(name, prints):
+def test_the_example_is_short_and_keeps_clear(name, prints):
     program = Path(__file__).parents[2] / "examples" / f"{name}.py"
     assert len(program.read_text(encoding="utf-8").splitlines()) < 40
     done = subprocess.run([sys.executable, str(program)], capture_output=True, text=True, check=True)

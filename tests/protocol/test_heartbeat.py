@@ -22,14 +22,14 @@ def look(file: Path) -> tuple[int, str]:
     return done.returncode, done.stdout.strip()
 
 
-def test_a_service_that_lives_is_healthy_and_its_words_are_shown(tmp_path: Path) -> None:
+def test_a_running_service_is_healthy_and_its_text_is_shown(tmp_path: Path) -> None:
     file = tmp_path / "health"
     Heartbeat({HEALTH_FILE: str(file)}).beat(10.0, detail="2 robots; gr is\nheld $(touch /tmp/x) `x` \\ *")
     status, said = look(file)
     assert (status, said) == (0, "healthy: 2 robots; gr is held $(touch /tmp/x) `x` \\ * (0 s ago)")
 
 
-def test_a_service_that_says_that_it_cannot_work_is_not_healthy(tmp_path: Path) -> None:
+def test_a_service_that_reports_a_failure_is_unhealthy(tmp_path: Path) -> None:
     file = tmp_path / "health"
     beats = Heartbeat({HEALTH_FILE: str(file)})
     beats.beat(10.0, detail="a long story " * 100)
@@ -39,7 +39,7 @@ def test_a_service_that_says_that_it_cannot_work_is_not_healthy(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(("age_s", "status"), [(4, 0), (7, 1)])
-def test_a_service_whose_loop_hangs_is_found(
+def test_a_hanging_loop_is_unhealthy(
     tmp_path: Path, age_s: int, status: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = tmp_path / "health"
@@ -49,14 +49,14 @@ def test_a_service_whose_loop_hangs_is_found(
     assert look(file)[0] == status
 
 
-def test_no_file_and_an_empty_one_are_no_health(tmp_path: Path) -> None:
+def test_a_missing_or_empty_heartbeat_file_is_unhealthy(tmp_path: Path) -> None:
     file = tmp_path / "health"
     assert look(file)[0] == 1
     Heartbeat({HEALTH_FILE: str(file)})  # a service that has not served yet
     assert look(file) == (1, f"{file}: no sign of life yet")
 
 
-def test_a_look_costs_next_to_nothing(tmp_path: Path) -> None:
+def test_a_health_check_costs_little_time(tmp_path: Path) -> None:
     file = tmp_path / "health"
     Heartbeat({HEALTH_FILE: str(file)}).beat(10.0)
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -68,7 +68,7 @@ def test_a_look_costs_next_to_nothing(tmp_path: Path) -> None:
     assert each_s < 0.05, "an interpreter with its imports takes 0.8 s"
 
 
-def test_it_beats_once_a_second_and_not_without_a_listener(tmp_path: Path) -> None:
+def test_the_heartbeat_comes_once_a_second_and_only_with_a_listener(tmp_path: Path) -> None:
     file = tmp_path / "health"
     beats = Heartbeat({HEALTH_FILE: str(file)})
     beats.beat(10.0, detail="first")
@@ -79,7 +79,7 @@ def test_it_beats_once_a_second_and_not_without_a_listener(tmp_path: Path) -> No
     assert not Heartbeat({}).is_due(1e12)
 
 
-def test_a_file_that_cannot_be_written_is_said_so_and_a_link_is_not_followed(tmp_path: Path) -> None:
+def test_an_unwritable_heartbeat_file_is_reported_and_a_link_is_not_followed(tmp_path: Path) -> None:
     link = tmp_path / "health"
     link.symlink_to(tmp_path / "victim")
     for file in (link, tmp_path / "none" / "health"):
@@ -89,7 +89,7 @@ def test_a_file_that_cannot_be_written_is_said_so_and_a_link_is_not_followed(tmp
 
 
 @pytest.mark.parametrize("kind", ["file", "abstract"])
-def test_systemd_is_told_that_the_service_serves_and_then_that_it_lives(tmp_path: Path, kind: str) -> None:
+def test_systemd_is_notified_of_readiness_and_then_of_each_heartbeat(tmp_path: Path, kind: str) -> None:
     name = str(tmp_path / "notify") if kind == "file" else f"@deltaq-{os.getpid()}-notify"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
         systemd.bind("\0" + name[1:] if kind == "abstract" else name)
@@ -103,7 +103,7 @@ def test_systemd_is_told_that_the_service_serves_and_then_that_it_lives(tmp_path
         assert systemd.recv(1000) == b"WATCHDOG=1\nSTATUS=the SIM is READY=0 silent\n"
 
 
-def test_a_supervisor_that_has_gone_or_does_not_read_holds_nothing_up(tmp_path: Path) -> None:
+def test_a_lost_or_blocked_supervisor_does_not_block_the_service(tmp_path: Path) -> None:
     name = str(tmp_path / "notify")
     Heartbeat({NOTIFY_SOCKET: name}).beat(10.0)
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:

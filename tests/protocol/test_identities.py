@@ -33,7 +33,7 @@ def test_an_identity_has_a_name_and_a_cell(folder):
     assert read(folder / "controller-tower").kind is IdentityKind.CONTROLLER
 
 
-def test_each_folder_is_whole_and_no_two_keys_are_the_same(folder):
+def test_each_folder_is_complete_and_every_key_differs(folder):
     names = {
         "authority",
         "sim",
@@ -51,20 +51,20 @@ def test_each_folder_is_whole_and_no_two_keys_are_the_same(folder):
 
 
 @pytest.mark.parametrize("mode", [0o640, 0o604, 0o620, 0o666])
-def test_a_key_that_others_may_use_is_none(folder, mode):
+def test_a_key_readable_by_others_is_refused(folder, mode):
     (folder / "sim" / "key.pem").chmod(mode)
     with pytest.raises(IdentityError, match=f"has mode {mode:04o}.*chmod 600"):
         read(folder / "sim")
 
 
 @pytest.mark.parametrize("name", ["certificate.pem", "authority.pem"])
-def test_a_file_that_others_can_write_is_not_trusted(folder, name):
+def test_a_file_writable_by_others_is_refused(folder, name):
     (folder / "sim" / name).chmod(0o666)
     with pytest.raises(IdentityError, match=f"{name} has mode 0666, and other users may write it"):
         read(folder / "sim")
 
 
-def test_files_of_another_user_are_not_trusted(folder):
+def test_files_of_another_user_are_refused(folder):
     try:
         for name, match in (("certificate.pem", "who would trust it"), ("key.pem", "belongs to user")):
             os.chown(folder / "sim" / name, os.geteuid() + 1, -1)
@@ -86,7 +86,7 @@ def test_an_invalid_key_or_certificate_is_reported_and_never_shown(folder, name,
 
 
 @pytest.mark.parametrize("name", ["key.pem", "certificate.pem", "authority.pem"])
-def test_a_file_that_is_missing_is_named(folder, name):
+def test_a_missing_file_is_named(folder, name):
     (folder / "sim" / name).unlink()
     with pytest.raises(IdentityError, match=name):
         read(folder / "sim")
@@ -95,27 +95,27 @@ def test_a_file_that_is_missing_is_named(folder, name):
 @pytest.mark.parametrize(
     "key", [ec.generate_private_key(ec.SECP384R1()), ed25519.Ed25519PrivateKey.generate()]
 )
-def test_keys_of_other_kinds_are_none(folder, key):
+def test_keys_of_other_kinds_are_refused(folder, key):
     pem = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
     (folder / "sim" / "key.pem").write_bytes(pem)
     with pytest.raises(IdentityError, match="not of the curve P-256"):
         read(folder / "sim")
 
 
-def test_a_certificate_of_another_identity_does_not_make_one_of_it(folder):
+def test_a_certificate_of_another_identity_is_refused(folder):
     shutil.copy(folder / "sim" / "certificate.pem", folder / "hli" / "certificate.pem")
     with pytest.raises(IdentityError, match="is not of the key"):
         read(folder / "hli")
 
 
-def test_certificates_of_another_authority_are_not_believed(folder, tmp_path):
+def test_certificates_of_another_authority_are_refused(folder, tmp_path):
     other = make(tmp_path / "other")
     shutil.copy(other / "hli" / "authority.pem", folder / "hli" / "authority.pem")
     with pytest.raises(IdentityError, match="was not issued by the authority"):
         read(folder / "hli")
 
 
-def test_who_has_an_identity_is_no_authority(folder):
+def test_an_identity_cannot_sign_certificates(folder):
     """A certificate that a service signs for itself names the right issuer, and is believed by nobody."""
     sim = read(folder / "sim")
     forged = authorities.Authority(sim.key, sim.authority)
@@ -131,7 +131,7 @@ def test_who_has_an_identity_is_no_authority(folder):
 # --- time ---------------------------------------------------------------------------------------------
 
 
-def test_the_end_is_told_thirty_days_before_and_is_an_error_after_it(folder):
+def test_expiry_is_a_warning_thirty_days_before_and_an_error_afterwards(folder):
     sim = read(folder / "sim")
     end = sim.certificate.not_valid_after_utc
     assert sim.warning(end - 31 * DAY) is None
@@ -144,7 +144,7 @@ def test_the_end_is_told_thirty_days_before_and_is_an_error_after_it(folder):
         Identity.read(folder / "sim", end + DAY)
 
 
-def test_a_clock_that_is_far_behind_is_told(folder):
+def test_a_clock_far_behind_is_reported(folder):
     with pytest.raises(IdentityError, match=r"is valid from .*set the clock"):
         read(folder / "sim", -365 * DAY)
     assert read(folder / "sim", -DAY / 2).name == "sim", "clocks of machines differ"
@@ -163,7 +163,7 @@ def contents(folder):
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_an_operator_is_added_later_and_nothing_is_written_over(folder):
+def test_adding_an_operator_overwrites_nothing(folder):
     before = contents(folder)
     make(folder, people=("operator-desk", "operator-night"))
     after = contents(folder)
@@ -175,7 +175,7 @@ def test_an_operator_is_added_later_and_nothing_is_written_over(folder):
     assert read(folder / "operator-night").authority == read(folder / "sim").authority
 
 
-def test_it_is_added_with_the_authority_alone_wherever_that_is(folder, tmp_path):
+def test_an_identity_is_added_with_an_authority_stored_elsewhere(folder, tmp_path):
     """The services' folders have gone to their machines, and the authority's to a drawer."""
     services = tmp_path / "machines"
     (folder).rename(services)
@@ -187,7 +187,7 @@ def test_it_is_added_with_the_authority_alone_wherever_that_is(folder, tmp_path)
     assert night.authority == sim.authority
 
 
-def test_a_robot_that_a_cell_has_got_since_is_of_the_same_authority(tmp_path):
+def test_a_later_robot_gets_an_identity_of_the_same_authority(tmp_path):
     folder = make(tmp_path / "lab", robots=("fr",), people=("operator-desk",))
     before = contents(folder)
     make(folder)
@@ -195,7 +195,7 @@ def test_a_robot_that_a_cell_has_got_since_is_of_the_same_authority(tmp_path):
     assert read(folder / "robot-server-gr").authority == read(folder / "sim").authority
 
 
-def test_without_the_authority_no_second_one_is_made(folder, tmp_path):
+def test_a_missing_authority_is_not_replaced_by_a_new_one(folder, tmp_path):
     (folder / "authority").rename(tmp_path / "drawer")
     before = contents(folder)
     with pytest.raises(IdentityError, match=r"has robot-server-fr, .*, and no authority; .*--authority"):
@@ -205,12 +205,12 @@ def test_without_the_authority_no_second_one_is_made(folder, tmp_path):
         make(folder, people=("operator-night",), authority=tmp_path / "none")
 
 
-def test_the_authority_of_another_cell_makes_nothing(folder):
+def test_the_authority_of_another_cell_is_refused(folder):
     with pytest.raises(IdentityError, match="is the authority of cell lab, not of plant"):
         make(folder, cell="plant")
 
 
-def test_who_has_an_identity_already_gets_no_second_one(folder, tmp_path):
+def test_an_existing_identity_is_not_replaced(folder, tmp_path):
     before = contents(folder)
     made = authorities.make_identities(
         "lab", tmp_path / "new", (), ("operator-desk",), now_utc(), folder / "authority"
@@ -230,12 +230,12 @@ def test_a_folder_of_another_user_is_not_used(folder):
 
 
 @pytest.mark.parametrize("name", ["", "..", "a/b", "-x", "a b", "ä", "x" * 60, "a\n", "*"])
-def test_names_that_are_no_folder_are_refused(name):
+def test_names_unfit_for_a_folder_are_refused(name):
     for kind in (IdentityKind.OPERATOR, IdentityKind.CONTROLLER):
         with pytest.raises(IdentityError, match=r"cannot be the name of an identity; 1 to \d+ letters"):
             name_of(kind, name)
 
 
 @pytest.mark.parametrize("kind", IdentityKind)
-def test_a_name_says_what_it_is_for(kind):
+def test_the_name_of_an_identity_gives_its_role(kind):
     assert kind_of(name_of(kind, "desk")) is kind

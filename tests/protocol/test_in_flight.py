@@ -30,13 +30,13 @@ def reckoned(in_flight: InFlight, told: RobotState) -> tuple[int, float]:
     return ahead.cycle, pytest.approx(float(ahead.q_cmd[0]))
 
 
-def test_a_verdict_on_nothing_that_was_sent_changes_nothing() -> None:
+def test_a_verdict_on_an_unsent_increment_changes_nothing() -> None:
     in_flight = InFlight()
     assert not in_flight.take(verdict(7, 12, 0.1))
     assert reckoned(in_flight, state(10, 1.0, 1.5)) == (11, 1.5)
 
 
-def test_an_increment_without_a_verdict_is_given_up_and_counted_once() -> None:
+def test_an_increment_without_a_verdict_is_abandoned_and_counted_once() -> None:
     in_flight = InFlight()
     in_flight.ahead(state(10, 1.0, 1.5))
     in_flight.sent(1, [0.1], 10)
@@ -86,7 +86,7 @@ def test_a_scaled_increment_counts_as_admitted() -> None:
     assert reckoned(in_flight, state(12, 1.0, 1.54)) == (13, 1.54)  # the state knows of it: not twice
 
 
-def test_the_last_of_two_verdicts_on_one_increment_counts_and_the_first_is_told() -> None:
+def test_of_two_verdicts_on_one_increment_the_last_counts() -> None:
     in_flight = InFlight()
     in_flight.sent(1, [0.1], 10)
     assert in_flight.take(verdict(1, 12, 0.1))
@@ -94,7 +94,7 @@ def test_the_last_of_two_verdicts_on_one_increment_counts_and_the_first_is_told(
     assert reckoned(in_flight, state(12, 1.0, 1.0)) == (14, 1.1)
 
 
-def test_a_hold_forgets_all_that_was_sent() -> None:
+def test_a_hold_clears_all_increments_in_flight() -> None:
     in_flight = InFlight()
     in_flight.sent(1, [0.1], 10)
     in_flight.sent(2, [0.1], 11)
@@ -114,7 +114,7 @@ def test_increments_before_an_admitted_one_count_as_requested() -> None:
     assert reckoned(in_flight, state(11, 1.0, 1.5, setpoint_cycle=12)) == (13, 1.56)
 
 
-def test_a_setpoint_that_the_gate_held_is_none_of_the_increment_behind_it() -> None:
+def test_a_held_setpoint_does_not_count_as_the_increment_behind_it() -> None:
     in_flight = InFlight()
     in_flight.ahead(state(10, 1.0, 1.4))
     in_flight.sent(1, [0.1], 10)
@@ -134,7 +134,7 @@ def test_another_robot_server_counts_from_one() -> None:
     assert list(in_flight.cycles_to_answer(state(2, 2.0, 2.0))) == [2]
 
 
-def test_missed_states_are_answered_as_far_as_there_is_room_and_each_once() -> None:
+def test_missed_states_are_answered_once_each_within_the_lookahead() -> None:
     in_flight = InFlight()
     assert list(in_flight.cycles_to_answer(state(10, 1.0, 1.1))) == [10]
     in_flight.sent(1, [0.1], 10)
@@ -146,14 +146,14 @@ def test_missed_states_are_answered_as_far_as_there_is_room_and_each_once() -> N
     assert list(in_flight.cycles_to_answer(state(16, 1.2, 1.3))) == [16]
 
 
-def test_a_robot_at_rest_is_not_given_more_than_one_at_a_time() -> None:
+def test_a_robot_at_rest_gets_one_increment_at_a_time() -> None:
     in_flight = InFlight()
     in_flight.ahead(state(10, 1.0, 1.0))
     in_flight.sent(1, [0.1], 10)
     assert list(in_flight.cycles_to_answer(state(20, 1.0, 1.0))) == [20]
 
 
-def test_without_a_lookahead_the_setpoint_just_sent_counts_and_what_is_behind_it() -> None:
+def test_without_a_lookahead_the_last_setpoint_and_its_successors_count() -> None:
     in_flight = InFlight()
     assert reckoned(in_flight, state(10, 1.0)) == (10, 1.0)
     in_flight.sent(1, [0.1], 10)
@@ -184,7 +184,7 @@ def test_with_a_jitter_buffer_increments_in_flight_count_without_verdicts() -> N
     assert (float(ahead.q_cmd[0]), ahead.dq) == (pytest.approx(3.1), None)
 
 
-def test_with_a_playout_buffer_one_that_was_refused_is_reckoned_with_no_more() -> None:
+def test_with_a_jitter_buffer_a_refused_increment_no_longer_counts() -> None:
     in_flight = InFlight()
     in_flight.sent(1, [0.1], 10)
     in_flight.sent(2, [0.2], 11)
@@ -192,7 +192,7 @@ def test_with_a_playout_buffer_one_that_was_refused_is_reckoned_with_no_more() -
     assert reckoned(in_flight, played(12, 1.0, answered=9)) == (17, 1.2)
 
 
-def test_with_a_playout_buffer_a_verdict_that_never_comes_is_given_up_once_its_turn_is_over() -> None:
+def test_with_a_jitter_buffer_a_lost_verdict_is_abandoned_after_its_cycle() -> None:
     in_flight = InFlight()
     in_flight.sent(1, [0.1], 10)
     in_flight.ahead(played(16, 1.0, answered=10 + PATIENCE_CYCLES - 1))
@@ -201,7 +201,7 @@ def test_with_a_playout_buffer_a_verdict_that_never_comes_is_given_up_once_its_t
     assert in_flight.take_given_up() == 1
 
 
-def test_with_a_playout_buffer_nothing_is_kept_for_ever_though_no_increment_has_its_turn() -> None:
+def test_with_a_jitter_buffer_increments_that_are_never_played_out_expire() -> None:
     in_flight = InFlight()
     for cycle in range(1000):
         in_flight.ahead(played(cycle, 1.0, answered=None))
@@ -210,7 +210,7 @@ def test_with_a_playout_buffer_nothing_is_kept_for_ever_though_no_increment_has_
     assert left <= 0.1 * (2 * 5 + PATIENCE_CYCLES + 1)
 
 
-def test_states_that_were_missed_on_a_long_way_are_answered_too_but_not_many() -> None:
+def test_over_a_slow_link_only_a_few_missed_states_are_answered() -> None:
     in_flight = InFlight()
     assert list(in_flight.cycles_to_answer(played(10, 1.0, answered=None))) == [10]
     in_flight.sent(1, [0.1], 10)
@@ -220,9 +220,7 @@ def test_states_that_were_missed_on_a_long_way_are_answered_too_but_not_many() -
     assert list(in_flight.cycles_to_answer(played(60, 1.0, answered=12))) == [56, 57, 58, 59, 60]
 
 
-def test_with_a_playout_buffer_what_late_increments_are_owed_is_reckoned_with_and_they_are_not_again() -> (
-    None
-):
+def test_with_a_jitter_buffer_deferred_motion_of_late_increments_counts_once() -> None:
     in_flight = InFlight()
     in_flight.sent(1, [0.1], 10)
     in_flight.sent(2, [0.2], 11)

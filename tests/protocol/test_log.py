@@ -37,14 +37,14 @@ def run(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.long
-def test_people_get_the_words_and_errors_apart() -> None:
+def test_text_logs_write_lines_to_stdout_and_errors_to_stderr() -> None:
     done = run(SAYS, DELTAQ_LOG_FORMAT="")
     assert done.stdout == "ready: here\nwarning: careful\n"
     assert done.stderr == "error: two\nlines \x1b[31m and \u2028 more\n"
 
 
 @pytest.mark.long
-def test_programs_get_one_object_a_line_with_time_level_service_robot_message_and_fields() -> None:
+def test_json_logs_write_one_complete_object_a_line() -> None:
     done = run(SAYS, DELTAQ_LOG_FORMAT="json")
     told, _ = map(json.loads, done.stdout.splitlines())
     (failed,) = map(json.loads, done.stderr.splitlines())
@@ -74,7 +74,7 @@ def test_programs_get_one_object_a_line_with_time_level_service_robot_message_an
         ),
     ],
 )
-def test_an_unexpected_error_is_a_line_too(code: str, level: str, message: str) -> None:
+def test_an_unexpected_error_is_one_line(code: str, level: str, message: str) -> None:
     done = run(f"from deltaq_protocol import log\nlog.configure('sim')\n{code}", DELTAQ_LOG_FORMAT="json")
     (told,) = map(json.loads, (done.stdout + done.stderr).splitlines())
     assert (told["level"], told["service"], told["robot"]) == (level, "sim", None)
@@ -91,7 +91,7 @@ def test_a_result_is_one_object_a_line_in_either_format() -> None:
 
 
 @pytest.mark.long
-def test_a_service_refuses_a_format_that_there_is_not() -> None:
+def test_a_service_refuses_an_unknown_log_format() -> None:
     code = "from deltaq_services.process import run\nrun(lambda: None, 'sim')"
     done = run(code, DELTAQ_LOG_FORMAT="xml")
     assert (done.returncode, done.stdout) == (2, "")
@@ -101,7 +101,7 @@ def test_a_service_refuses_a_format_that_there_is_not() -> None:
     assert log_format({}) is LogFormat.TEXT
 
 
-def test_a_line_is_read_back_and_what_is_none_is_left_as_it_is() -> None:
+def test_json_log_lines_are_parsed_and_other_lines_stay_unchanged() -> None:
     line = json_line("hli", "ready: here", fields={"a": {"b": [1]}})
     assert message_of(line) == "ready: here"
     told = read_json_line(line)

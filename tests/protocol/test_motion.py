@@ -63,7 +63,7 @@ def test_a_joint_motion_keeps_all_limits_and_ends_at_rest_at_its_target(robot: s
 
 
 @pytest.mark.parametrize("off", [0.0, 1e-12, 1e-6])
-def test_a_motion_to_where_the_robot_is_ends(off: float) -> None:
+def test_a_motion_to_the_present_configuration_ends(off: float) -> None:
     summary = TOLD.robots["fr"]
     start = np.array(summary.home)
     rows = setpoints(Motion("fr", np.stack([start, start + off]), summary, CYCLE_S), start, "fr")
@@ -71,7 +71,7 @@ def test_a_motion_to_where_the_robot_is_ends(off: float) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_motion_of_which_every_tenth_increment_is_lost_arrives(seed: int) -> None:
+def test_a_motion_arrives_despite_losing_every_tenth_increment(seed: int) -> None:
     summary = TOLD.robots["fr"]
     start = np.array(summary.home)
     target = start + np.array([0.5, -0.1, 0.1, 0.4, -0.2, 1.0])
@@ -81,7 +81,7 @@ def test_a_motion_of_which_every_tenth_increment_is_lost_arrives(seed: int) -> N
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_a_motion_of_which_increments_are_sent_twice_goes_back_to_its_target(seed: int) -> None:
+def test_a_motion_with_repeated_increments_returns_to_its_target(seed: int) -> None:
     summary = TOLD.robots["fr"]
     start = np.array(summary.home)
     target = start + np.array([0.5, -0.1, 0.1, 0.4, -0.2, 1.0])
@@ -90,7 +90,7 @@ def test_a_motion_of_which_increments_are_sent_twice_goes_back_to_its_target(see
     assert np.abs(rows[-1] - target).max() < REACHED
 
 
-def test_a_motion_waits_for_drives_at_its_end_for_as_long_as_they_take() -> None:
+def test_a_motion_ends_only_after_the_drives_arrived() -> None:
     summary = TOLD.robots["fr"]
     start = np.array(summary.home)
     motion = Motion("fr", np.stack([start, start + 1e-3]), summary, CYCLE_S)
@@ -98,7 +98,7 @@ def test_a_motion_waits_for_drives_at_its_end_for_as_long_as_they_take() -> None
 
 
 @pytest.mark.parametrize("off", [1e-2, -1e-2, np.array([0, 1e-2, 0, 0, 0, -1e-3])])
-def test_a_robot_that_was_sent_beyond_its_target_or_beside_it_comes_back(off: float | Array) -> None:
+def test_a_robot_beyond_or_beside_its_target_returns_to_it(off: float | Array) -> None:
     summary = TOLD.robots["fr"]
     start = np.array(summary.home)
     motion = Motion("fr", np.stack([start, start + 0.1]), summary, CYCLE_S)
@@ -107,7 +107,7 @@ def test_a_robot_that_was_sent_beyond_its_target_or_beside_it_comes_back(off: fl
     assert np.abs(rows[-1] - start - 0.1).max() < REACHED
 
 
-def test_a_motion_that_the_gate_keeps_in_its_place_names_what_keeps_it() -> None:
+def test_a_motion_blocked_by_the_gate_names_the_reason() -> None:
     summary = TOLD.robots["fr"]
     start = np.array(summary.home)
     motion = Motion("fr", np.stack([start, start + 0.1]), summary, CYCLE_S)
@@ -122,7 +122,7 @@ def test_a_motion_that_the_gate_keeps_in_its_place_names_what_keeps_it() -> None
     assert (e.value.code, e.value.value, e.value.bound) == ("clearance", 0.0499, 0.05)
 
 
-def test_an_increment_that_came_late_ends_no_motion_and_one_that_is_forbidden_does() -> None:
+def test_a_forbidden_increment_ends_a_motion_and_a_late_one_does_not() -> None:
     motion = Motion("fr", np.stack([np.zeros(6), np.ones(6)]), TOLD.robots["fr"], CYCLE_S)
     refused = Verdict(robot="fr", cycle=1, seq=1, outcome=Outcome.REFUSED)
     motion.take(refused.model_copy(update={"reasons": (Reason(code=ReasonCode.STALE_CYCLE),)}))
@@ -138,7 +138,7 @@ def test_an_increment_that_came_late_ends_no_motion_and_one_that_is_forbidden_do
         ([float("nan"), 0, 0, 0, 0, 0], "nan rad is not from"),
     ],
 )
-def test_a_target_that_cannot_be_is_refused_with_its_bounds(target: list[float], told: str) -> None:
+def test_an_impossible_target_is_refused_with_its_bounds(target: list[float], told: str) -> None:
     with pytest.raises(ValueError, match=told):
         joint_path("fr", TOLD.robots["fr"], np.zeros(6), np.array(target))
 
@@ -150,7 +150,7 @@ def test_a_speed_out_of_its_range_is_refused(speed: float) -> None:
 
 
 @pytest.mark.parametrize("robot", ["fr", "gr"])
-def test_pose_and_jacobian_of_the_tool_are_those_of_the_robot_s_model(robot: str) -> None:
+def test_pose_and_jacobian_of_the_tool_agree_with_the_robot_model(robot: str) -> None:
     tool, model = Tool(TOLD.kinematics[robot], TOLD.robots[robot]), LAB.robots[robot]
     random = np.random.default_rng(3)
     for _ in range(20):
@@ -166,7 +166,7 @@ def test_pose_and_jacobian_of_the_tool_are_those_of_the_robot_s_model(robot: str
 
 
 @pytest.mark.parametrize("robot", ["fr", "gr"])
-def test_a_line_of_the_tool_is_straight_turns_nothing_and_keeps_all_limits(robot: str) -> None:
+def test_a_tool_line_is_straight_without_rotation_and_keeps_all_limits(robot: str) -> None:
     summary, way = TOLD.robots[robot], np.array([0.03, -0.02, -0.05])
     tool, start = Tool(TOLD.kinematics[robot], summary), np.array(summary.home)
     path = tool.line(robot, start, way)
@@ -183,7 +183,7 @@ def test_a_line_of_the_tool_is_straight_turns_nothing_and_keeps_all_limits(robot
     assert (changes <= np.array(summary.max_acceleration) * CYCLE_S**2 + ROUNDING).all()
 
 
-def test_a_line_out_of_reach_says_how_far_it_goes() -> None:
+def test_an_unreachable_line_reports_its_reachable_length() -> None:
     summary = TOLD.robots["fr"]
     tool = Tool(TOLD.kinematics["fr"], summary)
     with pytest.raises(ValueError, match=r"the tool of fr goes \d\.\d+ m of 5\.000 m: "):
@@ -199,7 +199,7 @@ def test_a_line_out_of_reach_says_how_far_it_goes() -> None:
         (1.5e-3, 1.5e-3, 1.5e-3, False),  # the last increments are on their way
     ],
 )
-def test_a_robot_rests_at_its_target_when_setpoint_and_drives_are_there(
+def test_a_robot_rests_when_setpoint_and_drives_reached_the_target(
     setpoint: float, measured: float, before: float, rests: bool
 ) -> None:
     def state(q: float) -> RobotState:

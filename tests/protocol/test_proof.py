@@ -11,7 +11,7 @@ from deltaq_protocol.proof import COUNT_BYTES, MAC_BYTES, MAX_PROOF_BYTES, Prove
 KEY, MESSAGE = "deltaq/lab/fr/increment", b"\x81\xa4type"
 
 
-def test_a_proof_is_valid_with_the_right_secret_only() -> None:
+def test_a_proof_is_valid_only_with_the_right_secret() -> None:
     proof = Prover("secret").prove(KEY, MESSAGE, b"nonce")
     assert proven_nonce(key_of("secret"), KEY, MESSAGE, proof) == b"nonce"
     assert proven_nonce(key_of("Secret"), KEY, MESSAGE, proof) is None
@@ -33,7 +33,9 @@ def test_an_invalid_proof_shows_no_nonce(proof: bytes) -> None:
 
 
 @pytest.mark.parametrize("moved", [("nonced", "eltaq", b"x"), ("n", "onced", b"eltaqx")])
-def test_bytes_do_not_pass_from_nonce_to_key_to_message(moved: tuple[str, str, bytes]) -> None:
+def test_moving_bytes_between_nonce_key_and_message_invalidates_a_proof(
+    moved: tuple[str, str, bytes],
+) -> None:
     proof = Prover("secret").prove("deltaq", b"x", b"nonce")
     nonce, key, message = moved
     assert proven_nonce(key_of("secret"), key, message, proof[:MAC_BYTES] + nonce.encode()) is None
@@ -45,5 +47,5 @@ def test_requests_are_counted() -> None:
     assert nonces == [count.to_bytes(COUNT_BYTES, "big") for count in (1, 2, 3)]
 
 
-def test_half_a_surrogate_pair_is_a_secret_like_any_other() -> None:
+def test_a_lone_surrogate_is_a_valid_secret() -> None:
     assert proven_nonce(key_of("\ud800"), KEY, MESSAGE, Prover("\ud800").prove(KEY, MESSAGE)) == b""

@@ -74,15 +74,13 @@ def test_every_element_is_read_in_its_order() -> None:
         ("ROOT>", "RSI>", r"the outermost element is <RSI>, must be <ROOT>"),
     ],
 )
-def test_a_value_that_is_not_allowed_is_named_with_file_element_and_bound(
-    old: str, new: str, message: str
-) -> None:
+def test_a_forbidden_value_is_reported_with_file_element_and_bound(old: str, new: str, message: str) -> None:
     assert old in VALID
     with pytest.raises(EthernetConfigError, match=message):
         parse_ethernet_xml(VALID.replace(old, new), "lab_ethernet.xml")
 
 
-def test_a_file_that_is_not_there_is_said_so(tmp_path: Path) -> None:
+def test_a_missing_file_is_reported(tmp_path: Path) -> None:
     with pytest.raises(EthernetConfigError, match="cannot be read"):
         load_ethernet_xml(tmp_path / "none.xml")
     (tmp_path / "binary.xml").write_bytes(b"\xff\xfe\x00")
@@ -100,13 +98,13 @@ def test_a_file_that_is_not_there_is_said_so(tmp_path: Path) -> None:
         (("x",), ("rad",)),
     ],
 )
-def test_a_joint_that_is_no_axis_of_rsi_is_refused(joints: tuple[str, ...], units: tuple[str, ...]) -> None:
+def test_a_joint_without_an_rsi_axis_is_refused(joints: tuple[str, ...], units: tuple[str, ...]) -> None:
     with pytest.raises(EthernetConfigError, match=r"allowed are|one unit for each"):
         AxisMap.of(joints, units, "krc4")  # type: ignore[arg-type]  # the wrong unit is the point
 
 
 @pytest.mark.parametrize("encoding", ["ISO-8859-1", "UTF-16"])
-def test_a_file_is_read_in_the_encoding_that_it_declares(tmp_path: Path, encoding: str) -> None:
+def test_a_file_is_read_in_its_declared_encoding(tmp_path: Path, encoding: str) -> None:
     file = tmp_path / "cell_ethernet.xml"
     file.write_bytes(f'<?xml version="1.0" encoding="{encoding}"?><!-- für -->{VALID}'.encode(encoding))
     assert load_ethernet_xml(file) == parse_ethernet_xml(VALID, file.name)

@@ -53,7 +53,7 @@ def only(findings: tuple[Finding, ...]) -> Finding:
     return finding
 
 
-def test_the_shipped_file_passes_without_a_word() -> None:
+def test_the_shipped_file_passes_without_findings() -> None:
     assert judge(file(), CELL) == ()
 
 
@@ -134,7 +134,7 @@ def test_one_signal_for_two_purposes_is_refused() -> None:
     assert "the output gripper" in only(stop).message
 
 
-def test_two_corrections_on_one_channel_are_no_configuration_at_all() -> None:
+def test_two_corrections_on_one_channel_are_refused() -> None:
     with pytest.raises(EthernetConfigError, match=r"INDX 1 is used by AK\.A1"):
         file((correction("A2", 2), correction("A2", 1)))
 
@@ -147,14 +147,14 @@ def test_an_emulated_cell_may_use_the_file_of_the_real_one(address: str) -> None
 @pytest.mark.parametrize(
     ("ip_number", "refused"), [("192.168.10.10", False), ("127.0.0.1", True), ("0.0.0.0", True)]
 )
-def test_a_server_that_listens_everywhere_is_reached_at_any_address_but_a_loopback(
+def test_a_server_on_all_interfaces_is_reached_at_every_address_except_loopbacks(
     ip_number: str, refused: bool
 ) -> None:
     found = judge(file((">192.168.10.10<", f">{ip_number}<")), replace(CELL, address="0.0.0.0"))
     assert [finding.element for finding in found] == ["CONFIG/IP_NUMBER"] * refused
 
 
-def test_a_robot_without_external_axes_is_asked_for_none() -> None:
+def test_a_robot_without_external_axes_needs_none_in_the_file() -> None:
     arm = AxisMap(tuple(f"a{i}" for i in range(1, 7)), ("rad",) * 6)
     bare = file(without("DEF_EIPos"), without("DEF_ESPos"), *(without(f"EK.E{i}") for i in (1, 2, 3)))
     assert judge(bare, replace(CELL, axes=arm)) == ()
@@ -188,7 +188,7 @@ def test_a_context_that_links_every_axis_to_its_own_correction_passes() -> None:
     assert context_findings() == ()
 
 
-def test_a_context_that_moves_another_axis_is_refused_for_each_of_them() -> None:
+def test_a_context_that_moves_other_axes_is_refused_for_each() -> None:
     found = context_findings(
         ('InIdx="1" OutObjID="ETHERNET1" OutIdx="1"', 'InIdx="1" OutObjID="ETHERNET1" OutIdx="x2"'),
         ('InIdx="2" OutObjID="ETHERNET1" OutIdx="2"', 'InIdx="2" OutObjID="ETHERNET1" OutIdx="1"'),
@@ -201,7 +201,7 @@ def test_a_context_that_moves_another_axis_is_refused_for_each_of_them() -> None
     assert "is linked to output 2 of ETHERNET1" in found[0].message
 
 
-def test_an_axis_that_is_linked_to_nothing_is_refused() -> None:
+def test_an_unlinked_axis_is_refused() -> None:
     finding = only(context_findings(('<Input InIdx="9" OutObjID="ETHERNET1" OutIdx="9"/>', "")))
     assert (finding.severity, finding.element) == ("error", "AXISCORREXT/CorrE3")
     assert "is linked to nothing" in finding.message
@@ -269,7 +269,7 @@ def test_an_invalid_context_is_reported(text: str, message: str) -> None:
         ("PTP HOME", None),
     ],
 )
-def test_relative_corrections_are_refused_where_a_program_tells(line: str, severity: str | None) -> None:
+def test_relative_corrections_of_a_program_are_refused(line: str, severity: str | None) -> None:
     found = judge_program(f"DEF gr( )\n{line}\nEND\n", "gr.src", CELL)
     assert [finding.severity for finding in found] == [severity] * (severity is not None)
     assert all(str(finding).startswith("gr.src: ") for finding in found)

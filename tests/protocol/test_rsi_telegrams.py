@@ -68,12 +68,12 @@ def report(q: np.ndarray, pose: tuple[float, ...] = (0.0,) * 6, delay: int = 0, 
     return KrcReport(4208163634, q, q, pose, pose, delay, inputs)
 
 
-def test_the_controllers_telegram_is_byte_for_byte_the_makers_compact_form() -> None:
+def test_the_telegram_of_the_controller_equals_the_compact_form_of_kuka() -> None:
     pose = (1.0234, -0.00525, 1.4, -math.pi / 2, math.radians(0.5), math.pi)
     assert KrcCodec(CANONICAL, ARM_AXES).encode(report(Q_HOME, pose)) == FROM_KRC
 
 
-def test_the_reply_is_byte_for_byte_as_in_the_makers_example() -> None:
+def test_the_reply_equals_the_example_of_kuka() -> None:
     correction = np.deg2rad([0.0, -1.5, 0.25, 0.0, 0.0, 1e-6])
     assert SensorCodec(CANONICAL, ARM_AXES).encode(4208163634, correction) == TO_KRC
 
@@ -102,7 +102,7 @@ def test_precision_sets_the_decimals_of_the_controller() -> None:
     assert b'A5="45.5" A6="-12.2"' in telegram
 
 
-def test_prismatic_axes_come_first_with_us_and_are_millimetres_on_the_wire() -> None:
+def test_prismatic_axes_come_first_and_are_millimetres_on_the_wire() -> None:
     q = np.array([0.532, 3.532, -0.892, *Q_HOME])
     telegram = KrcCodec(CANONICAL, GANTRY_AXES).encode(report(q))
     assert b'<EIPos E1="532.0000" E2="3532.0000" E3="-892.0000" E4="0.0000" ' in telegram
@@ -130,7 +130,7 @@ def test_the_first_telegram_of_a_kr_c2_has_only_its_ipoc() -> None:
     assert SensorCodec(CANONICAL, ARM_AXES).decode(first) == (77, None, None, None, {}, None, False)
 
 
-def test_the_tags_of_the_corrections_are_those_of_the_file() -> None:
+def test_corrections_have_the_tags_of_the_file() -> None:
     receive = element("DEF_EStr", "STRING", hold_on=0)
     receive += "".join(element(f"AKorr.A{i}", index=i) for i in range(1, 7))
     receive += element("FREE", "LONG", 20) + element("Stop", "LONG", 21)
@@ -142,7 +142,7 @@ def test_the_tags_of_the_corrections_are_those_of_the_file() -> None:
     )
 
 
-def test_text_reaches_the_controller_and_is_refused_where_the_file_has_no_place_for_it() -> None:
+def test_text_reaches_the_controller_and_is_refused_without_an_element_in_the_file() -> None:
     config = make_config(CANONICAL_SEND, element("DEF_EStr", "STRING", hold_on=0) + ARM_CORRECTION)
     telegram = SensorCodec(config, ARM_AXES).encode(5, np.zeros(6), text="a < b")
     assert KrcCodec(config, ARM_AXES).decode(telegram).text == "a < b"
@@ -207,12 +207,12 @@ def test_a_correction_that_cannot_be_written_is_refused(value: float) -> None:
         (b"</Rob>", b"</Rob>" + b" " * 5000, "at most 4096 bytes"),
     ],
 )
-def test_the_fault_of_a_telegram_of_the_controller_is_named(old: bytes, new: bytes, message: str) -> None:
+def test_each_fault_of_a_telegram_is_named(old: bytes, new: bytes, message: str) -> None:
     with pytest.raises(TelegramError, match=re.escape(message)):
         SensorCodec(CANONICAL, ARM_AXES).decode(FROM_KRC.replace(old, new))
 
 
-def test_a_stamp_of_more_than_32_bit_is_read_as_it_is() -> None:
+def test_an_ipoc_beyond_32_bit_is_read_unchanged() -> None:
     for ipoc in (2**32, 123645634563, 10**20 - 1):
         assert (
             SensorCodec(CANONICAL, ARM_AXES).decode(FROM_KRC.replace(b"4208163634", b"%d" % ipoc)).ipoc
@@ -260,12 +260,12 @@ def test_white_space_between_elements_does_not_disturb_the_pc() -> None:
         (b"<" * 5000, "5000 bytes long, at most 4096"),
     ],
 )
-def test_the_fault_of_a_reply_is_named(datagram: bytes, message: str) -> None:
+def test_each_fault_of_a_reply_is_named(datagram: bytes, message: str) -> None:
     with pytest.raises(TelegramError, match=re.escape(message)):
         KrcCodec(CANONICAL, ARM_AXES).decode(datagram)
 
 
-def test_the_controller_takes_elements_in_any_order_and_notices_missing_ones() -> None:
+def test_the_controller_accepts_elements_in_any_order_and_detects_missing_ones() -> None:
     telegram = KrcCodec(CANONICAL, GANTRY_AXES).decode(
         b'<Sen Type="X">\n <IPOC>7</IPOC><Other q="1"/> <AK A2="1.0" A1="2" /></Sen>'
     )
@@ -274,7 +274,7 @@ def test_the_controller_takes_elements_in_any_order_and_notices_missing_ones() -
 
 
 @given(st.binary(max_size=300))
-def test_garbage_raises_nothing_but_a_protocol_error(datagram: bytes) -> None:
+def test_garbage_raises_only_protocol_errors(datagram: bytes) -> None:
     for codec in (SensorCodec(CANONICAL, ARM_AXES), KrcCodec(CANONICAL, ARM_AXES)):
         with pytest.raises(ProtocolError):
             codec.decode(datagram)
@@ -308,9 +308,7 @@ def test_a_damaged_telegram_is_decoded_to_finite_numbers_or_refused(
     st.integers(0, 2**32 - 1),
     st.sampled_from(["krc2", "krc4"]),
 )
-def test_both_ends_understand_each_other_within_half_a_decimal(
-    values: list[float], ipoc: int, krc: str
-) -> None:
+def test_a_round_trip_is_accurate_to_half_a_decimal(values: list[float], ipoc: int, krc: str) -> None:
     axes = AxisMap.of(NINE, ("m",) * 3 + ("rad",) * 6, krc)  # type: ignore[arg-type]  # sampled from its literals
     q = np.array(values)
     at_krc, at_pc = KrcCodec(CANONICAL, axes), SensorCodec(CANONICAL, axes)
@@ -329,7 +327,7 @@ def matrix_from_pose(x: float, y: float, z: float, a: float, b: float, c: float)
 
 
 @given(st.lists(st.floats(-3.1, 3.1), min_size=3, max_size=3))
-def test_a_pose_survives_kukas_angles(angles: list[float]) -> None:
+def test_a_pose_survives_conversion_to_the_angles_of_kuka(angles: list[float]) -> None:
     T = matrix_from_pose(0.1, 0.2, 0.3, *angles)
     assert matrix_from_pose(*pose_from_matrix(T)) == pytest.approx(T, abs=1e-9)
 
@@ -344,7 +342,7 @@ def test_a_pose_with_b_at_ninety_degrees_is_written_with_c_zero() -> None:
 WITH_STOP = ARM_CORRECTION + element("Do.O1", "BOOL", 7) + element("Stop", "BOOL", 8)
 
 
-def test_stop_has_a_signal_of_its_own_and_is_off_unless_asked_for() -> None:
+def test_stop_has_its_own_signal_and_is_off_by_default() -> None:
     config = make_config(CANONICAL_SEND, WITH_STOP)
     sensor = SensorCodec(config, ARM_AXES, outputs={"gripper": "Do.O1"}, stop="Stop")
     krc = KrcCodec(config, ARM_AXES, outputs={"gripper": "Do.O1", "stop": "Stop"})
@@ -353,7 +351,7 @@ def test_stop_has_a_signal_of_its_own_and_is_off_unless_asked_for() -> None:
     assert krc.decode(sensor.encode(1, still, stop=True)).outputs == {"gripper": False, "stop": True}
 
 
-def test_an_output_of_a_user_cannot_share_the_stop_signal_nor_set_it() -> None:
+def test_a_user_output_can_neither_share_nor_set_the_stop_signal() -> None:
     config = make_config(CANONICAL_SEND, WITH_STOP)
     with pytest.raises(
         EthernetConfigError, match=r"Stop of RECEIVE is named for gripper and for driver\.stop"
@@ -393,7 +391,7 @@ def decoded(decode: Callable[[bytes], SensorTelegram], datagram: bytes) -> list[
     st.booleans(),
     st.text(st.characters(codec="ascii")),
 )
-def test_a_reply_as_our_end_writes_it_is_read_as_any_other(
+def test_a_compact_reply_is_read_like_any_other(
     values: list[float], ipoc: int, gripper: bool, stop: bool, text: str
 ) -> None:
     reply = AT_PC.encode(ipoc, np.array(values), {"gripper": gripper}, text=text, stop=stop)
@@ -401,7 +399,7 @@ def test_a_reply_as_our_end_writes_it_is_read_as_any_other(
 
 
 @given(st.data())
-def test_a_damaged_reply_is_read_or_refused_as_any_other(data: st.DataObject) -> None:
+def test_a_damaged_compact_reply_is_read_or_refused_like_any_other(data: st.DataObject) -> None:
     damaged = bytearray(AT_PC.encode(7, np.linspace(-1.0, 1.0, 6), {"gripper": True}, text="x y", stop=True))
     for _ in range(data.draw(st.integers(1, 3))):
         place = data.draw(st.integers(0, len(damaged) - 1))
@@ -410,7 +408,7 @@ def test_a_damaged_reply_is_read_or_refused_as_any_other(data: st.DataObject) ->
 
 
 @pytest.mark.parametrize("ending", [b"", b"\0", b"\0\0\0"])
-def test_a_compact_reply_does_not_take_the_long_way(monkeypatch: pytest.MonkeyPatch, ending: bytes) -> None:
+def test_a_compact_reply_takes_the_fast_path(monkeypatch: pytest.MonkeyPatch, ending: bytes) -> None:
     reply = AT_PC.encode(7, np.zeros(6), text="x y") + ending
     monkeypatch.delattr(KrcCodec, "_decode_any")
     assert AT_KRC.decode(reply).text == "x y"

@@ -39,7 +39,7 @@ def test_topics_of_a_robot_belong_to_its_own_server_alone(robots):
             assert servers <= {robot_server(robot)}
 
 
-def test_all_that_is_acted_upon_is_in_it_and_nothing_else():
+def test_the_access_table_contains_exactly_the_topics_that_services_act_on():
     said = {row.topic.name for row in sayings("cell", ["fr"])}
     assert said == {row.name for row in topics.TOPICS if is_acted_upon(row)}
     for topic in topics.TOPICS:

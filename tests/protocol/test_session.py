@@ -60,7 +60,7 @@ def test_an_endpoint_without_a_listener_fails_with_a_remedy() -> None:
         open_session(connect=[nowhere], must_connect=True)
 
 
-def test_an_address_that_is_taken_cannot_be_listened_on_and_the_reason_is_the_systems_alone() -> None:
+def test_listening_on_a_used_address_fails_with_the_reason_of_the_system() -> None:
     taken = endpoint()
     first = open_session(listen=[taken])
     with pytest.raises(ServiceUnreachableError, match=f"cannot listen on {taken}.*in use") as told:
@@ -69,13 +69,13 @@ def test_an_address_that_is_taken_cannot_be_listened_on_and_the_reason_is_the_sy
     first.close()
 
 
-def test_a_session_that_may_retry_opens_without_a_peer() -> None:
+def test_a_retrying_session_opens_without_a_peer() -> None:
     started = time.monotonic()
     open_session(connect=[endpoint()]).close()
     assert time.monotonic() - started < 0.4
 
 
-def test_sessions_that_do_not_name_one_another_never_meet() -> None:
+def test_sessions_without_a_common_endpoint_never_connect() -> None:
     there = endpoint()
     one, other = open_session(listen=[endpoint()]), open_session(listen=[there])
     try:
@@ -113,7 +113,7 @@ def wait_for_datagrams(session: Any) -> None:
         ("tcp", "tcp+udp", {"tcp"}),
     ],
 )
-def test_a_link_of_datagrams_is_there_where_both_have_it_and_messages_arrive_either_way(
+def test_datagrams_are_used_if_both_ends_offer_them_and_messages_arrive_either_way(
     listens: str, connects: str, has: set[str]
 ) -> None:
     at = endpoint().partition("/")[2]
@@ -162,7 +162,7 @@ def datagrams_between(near: tuple[str, int], far: tuple[str, int]) -> Iterator[l
         threads[1].join()
 
 
-def test_urgent_streams_use_datagrams_and_other_messages_do_not() -> None:
+def test_only_urgent_streams_use_datagrams() -> None:
     one, other = (endpoint().partition("/")[2] for _ in range(2))
     host, _, port = one.rpartition(":")
     server = open_session(listen=[f"tcp/{one}", f"tcp+udp/{other}"])
@@ -183,7 +183,7 @@ def test_urgent_streams_use_datagrams_and_other_messages_do_not() -> None:
             server.close()
 
 
-def test_a_firewall_that_drops_datagrams_locks_no_client_out() -> None:
+def test_a_client_connects_through_a_firewall_that_drops_datagrams() -> None:
     at = endpoint().partition("/")[2]
     host, _, port = at.rpartition(":")
     server = open_session(listen=[f"tcp/{at}"])
@@ -199,7 +199,7 @@ def test_a_firewall_that_drops_datagrams_locks_no_client_out() -> None:
             server.close()
 
 
-def test_an_overtaken_sample_is_ignored_and_another_publisher_starts_again() -> None:
+def test_an_overtaken_sample_is_ignored_and_a_new_publisher_counts_from_the_start() -> None:
     def sample(second: int, publisher: bytes) -> Any:
         return SimpleNamespace(
             timestamp=zenoh.Timestamp(datetime(2026, 1, 1, 0, 0, second, tzinfo=UTC), publisher)
@@ -214,7 +214,7 @@ def test_an_overtaken_sample_is_ignored_and_another_publisher_starts_again() -> 
     assert taken == [plain, one, next_one, other, plain]
 
 
-def test_a_server_does_not_pass_on_what_one_client_sends_to_another() -> None:
+def test_a_server_relays_no_messages_between_clients() -> None:
     here = endpoint()
     server = open_session(listen=[here])
     one, other = (open_session(connect=[here], must_connect=True) for _ in range(2))
@@ -229,7 +229,7 @@ def test_a_server_does_not_pass_on_what_one_client_sends_to_another() -> None:
             session.close()
 
 
-def test_a_server_that_comes_later_or_again_is_found_without_being_asked() -> None:
+def test_a_later_or_restarted_server_is_found_automatically() -> None:
     here = endpoint()
     client = open_session(connect=[here])
     publisher = declare_publisher(client, "deltaq/x")
@@ -242,7 +242,7 @@ def test_a_server_that_comes_later_or_again_is_found_without_being_asked() -> No
         client.close()
 
 
-def test_of_what_a_slow_reader_missed_only_the_newest_is_kept() -> None:
+def test_a_slow_reader_gets_the_newest_missed_sample() -> None:
     here = endpoint()
     server = open_session(listen=[here])
     client = open_session(connect=[here], must_connect=True)
@@ -261,7 +261,7 @@ def test_of_what_a_slow_reader_missed_only_the_newest_is_kept() -> None:
 
 
 @pytest.mark.long
-def test_one_session_too_many_is_kept_out_until_another_leaves() -> None:
+def test_a_session_beyond_the_limit_waits_until_another_leaves() -> None:
     here = endpoint()
     server = open_session(listen=[here])
     others = [open_session(connect=[here], must_connect=True) for _ in range(MAX_SESSIONS)]
@@ -275,7 +275,7 @@ def test_one_session_too_many_is_kept_out_until_another_leaves() -> None:
             session.close()
 
 
-def test_connections_that_stay_silent_keep_a_session_waiting_but_not_out() -> None:
+def test_silent_connections_delay_a_session_without_excluding_it() -> None:
     here = endpoint()
     server = open_session(listen=[here])
     client = open_session(connect=[here], must_connect=True)
@@ -293,7 +293,7 @@ def test_connections_that_stay_silent_keep_a_session_waiting_but_not_out() -> No
             server.close()
 
 
-def test_a_subscriber_that_stops_reading_neither_holds_up_the_others_nor_fills_the_memory() -> None:
+def test_a_blocked_subscriber_delays_no_other_and_fills_no_memory() -> None:
     here = endpoint()
     server = open_session(listen=[here])
     stuck, quick = (open_session(connect=[here], must_connect=True) for _ in range(2))

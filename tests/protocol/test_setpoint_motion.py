@@ -28,7 +28,7 @@ def admission(**changes):
     return Admission(**fields | changes)
 
 
-def test_a_robot_at_rest_stays_where_it_is_cycle_by_cycle():
+def test_a_robot_at_rest_stays_in_place_every_cycle():
     assert AT_REST.rests
     assert AT_REST.braked() == AT_REST
     assert AT_REST.plan == Plan(dq=(0.0, 0.0), brake_cycles=1, step=1)
@@ -36,7 +36,7 @@ def test_a_robot_at_rest_stays_where_it_is_cycle_by_cycle():
     assert SetpointMotion.at_rest(HERE).sequence == 0
 
 
-def test_an_admission_is_sent_as_it_is_and_then_along_its_brake_until_it_rests():
+def test_an_admission_is_sent_unchanged_and_followed_by_its_brake_to_rest():
     moved = AT_REST.admitted(admission())
     assert (moved.sequence, moved.rests) == (5, False)
     assert moved.plan == Plan(dq=(0.25, -0.5), brake_cycles=2, step=0)
@@ -48,7 +48,7 @@ def test_an_admission_is_sent_as_it_is_and_then_along_its_brake_until_it_rests()
     assert braking.braked() == SetpointMotion.at_rest(HERE + 1.5 * DQ, sequence=5)
 
 
-def test_a_motion_is_the_one_that_a_state_tells():
+def test_a_motion_is_restored_from_its_state():
     plan = Plan(dq=(0.25, -0.5), brake_cycles=2, step=0)
     state = server_state(q=(9.0, 9.0), q_cmd=(0.75, -0.75), dq=(0.25, -0.5), plan=plan, sequence=5)
     assert SetpointMotion.of(state) == AT_REST.admitted(admission())
@@ -62,7 +62,7 @@ def test_a_motion_is_the_one_that_a_state_tells():
         {"follows_dq": (0.0, 1e-300)},
     ],
 )
-def test_an_admission_was_decided_on_a_motion_if_all_is_as_it_says_to_the_bit(changes):
+def test_an_admission_matches_a_motion_only_bit_for_bit(changes):
     assert AT_REST.leads_to(admission())
     assert not AT_REST.leads_to(admission(**changes))
 

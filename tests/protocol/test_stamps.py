@@ -20,7 +20,7 @@ def filled(count: int, capacity: int) -> Stamps:
     return stamps
 
 
-def test_nobody_stamps_unless_the_environment_asks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_stamps_are_written_without_the_environment_variable(monkeypatch: pytest.MonkeyPatch) -> None:
     for value in (None, ""):
         if value is None:
             monkeypatch.delenv(FOLDER, raising=False)
@@ -37,19 +37,19 @@ def test_a_full_ring_keeps_the_newest_in_order_and_counts_what_it_lost(tmp_path:
 
 
 @pytest.mark.parametrize("count", [0, 3, 4])
-def test_a_ring_that_is_not_too_full_loses_nothing(tmp_path: Path, count: int) -> None:
+def test_a_ring_within_its_capacity_loses_nothing(tmp_path: Path, count: int) -> None:
     written = read_stamps(filled(count, capacity=4).write(tmp_path))
     assert (written.process, written.robots, written.overwritten) == ("sim", ("fr", "gr"), 0)
     assert written.rows.tolist() == [[StampStation.DECIDED, 1, n, 10 * n, 100 + n] for n in range(count)]
 
 
-def test_a_robot_that_the_cell_does_not_have_leaves_no_stamp(tmp_path: Path) -> None:
+def test_an_unknown_robot_leaves_no_stamp(tmp_path: Path) -> None:
     stamps = Stamps("hli", ["fr"], 4)
     stamps.add(StampStation.INCREMENT_AT_HLI, "not-here", 1)
     assert len(read_stamps(stamps.write(tmp_path)).rows) == 0
 
 
-def test_no_stamp_of_several_threads_takes_the_place_of_another(tmp_path: Path) -> None:
+def test_stamps_of_several_threads_do_not_overwrite_one_another(tmp_path: Path) -> None:
     stamps = Stamps("robot-server-fr", ["fr"], 8000)
 
     def work(first: int) -> None:
@@ -74,7 +74,7 @@ def test_no_stamp_of_several_threads_takes_the_place_of_another(tmp_path: Path) 
         (b'{"process": "sim", "robots": [], "kept": 2, "overwritten": 0}\n' + bytes(79), "79 bytes"),
     ],
 )
-def test_a_damaged_file_is_told_by_its_name(tmp_path: Path, content: bytes, why: str) -> None:
+def test_a_damaged_file_is_reported_by_name(tmp_path: Path, content: bytes, why: str) -> None:
     file = tmp_path / "sim-1.stamps"
     file.write_bytes(content)
     with pytest.raises(StampError, match=why) as caught:
@@ -83,7 +83,7 @@ def test_a_damaged_file_is_told_by_its_name(tmp_path: Path, content: bytes, why:
 
 
 @pytest.mark.long
-def test_a_process_that_was_asked_writes_its_stamps_when_it_ends(tmp_path: Path) -> None:
+def test_a_stamping_process_writes_its_stamps_at_exit(tmp_path: Path) -> None:
     program = (
         f"from {module.__name__} import StampStation, stamps_if_asked\n"
         "one, same = (stamps_if_asked('sim', ['fr']) for _ in range(2))\n"

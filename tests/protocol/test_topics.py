@@ -30,7 +30,7 @@ def test_names_are_unique() -> None:
 
 
 @pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
-def test_every_key_is_a_zenoh_key_with_everything_filled_in(topic: Topic) -> None:
+def test_every_filled_in_key_is_a_valid_zenoh_key(topic: Topic) -> None:
     key = topic.key("lab", robot="fr", service="sim")
     assert "{" not in key
     assert "*" not in key
@@ -38,7 +38,7 @@ def test_every_key_is_a_zenoh_key_with_everything_filled_in(topic: Topic) -> Non
     assert zenoh.KeyExpr(topic.key("lab")).includes(zenoh.KeyExpr(key))
 
 
-def test_a_field_that_is_not_given_is_a_wildcard() -> None:
+def test_an_omitted_field_is_a_wildcard() -> None:
     assert INCREMENT.key("lab") == "deltaq/lab/*/increment"
     assert STATE.key("lab", robot="fr") == "deltaq/lab/fr/state"
     assert DESCRIPTION.key("*") == "deltaq/*/description"
@@ -50,7 +50,7 @@ def test_no_message_of_one_topic_reaches_the_subscribers_of_another() -> None:
         assert not zenoh.KeyExpr(other.key("*")).intersects(key), (one.name, other.name)
 
 
-def test_whatever_a_client_subscribes_to_in_the_open_realm_it_gets_nothing_of_the_guarded_one() -> None:
+def test_no_subscription_in_the_open_realm_matches_a_guarded_topic() -> None:
     everything_open = zenoh.KeyExpr("deltaq/**")
     for topic in TOPICS:
         is_open = everything_open.intersects(zenoh.KeyExpr(topic.key("*")))
@@ -67,7 +67,7 @@ def test_every_message_that_moves_a_robot_has_a_greatest_age() -> None:
     assert all(topic.age_s(0.012) >= 0.0 for topic in (INCREMENT, REQUEST, SERVER_STATE, ADMISSION, COMMAND))
 
 
-def test_of_two_ages_the_lesser_rules() -> None:
+def test_of_two_greatest_ages_the_lesser_applies() -> None:
     assert INCREMENT.max_age_cycles == 10
     assert INCREMENT.age_cycles(0.004, bound_s=0.12) == 10  # not the 30 that 0.12 s would allow
     assert INCREMENT.age_cycles(0.012, bound_s=0.12) == 10

@@ -21,7 +21,7 @@ def value(datagram, name):
     return re.search(rb"[ <]" + name + rb'(?:="|>)([^"<]*)["<]', datagram)[1]
 
 
-def test_a_telegram_of_the_controller_fits_and_a_piece_of_it_does_not():
+def test_only_a_complete_telegram_of_the_controller_fits():
     assert re.fullmatch(PATTERN.encode(), OWN)
     assert not re.fullmatch(PATTERN.encode(), OWN[:-1])
     assert all(OWN.count(element.encode()) == 1 for element in PROGRAMMED)

@@ -48,7 +48,7 @@ async def test_a_query_waits_for_a_server(ends: tuple[Any, Any]) -> None:
     assert unpack(Done, await asked).what == "status"
 
 
-async def test_an_unanswered_query_that_was_taken_is_not_repeated(
+async def test_an_accepted_query_is_not_repeated_without_an_answer(
     ends: tuple[Any, Any],
 ) -> None:
     server, client = ends
@@ -65,7 +65,7 @@ async def test_an_unanswered_query_that_was_taken_is_not_repeated(
     assert taken == [KEY]
 
 
-async def test_a_query_without_a_server_ends_in_time(ends: tuple[Any, Any]) -> None:
+async def test_a_query_without_a_server_ends_at_its_deadline(ends: tuple[Any, Any]) -> None:
     _, client = ends
     with pytest.raises(ServiceUnreachableError, match=f"no answer to {KEY} within 0.05 s"):
         await Wire(client, asyncio.get_running_loop()).ask(

@@ -78,7 +78,7 @@ def heard_by(realm):
     return heard
 
 
-def test_the_realm_moves_and_nothing_is_refused(realm):
+def test_the_encrypted_cell_moves_and_no_message_is_refused(realm):
     realm.assert_moves(CYCLES, STEP)
 
 
@@ -89,7 +89,7 @@ def test_services_that_start_again_find_one_another(realm):
     assert realm.sim.robots["fr"].tracker.state.process == fr.core.process
 
 
-def test_who_has_no_identity_or_one_of_another_authority_is_not_let_in(realm, tmp_path):
+def test_peers_without_an_identity_of_the_cell_are_refused(realm, tmp_path):
     others = make(tmp_path / "others")
     identities = (None, tls_settings(realm.description, others, "hli"))
     with ThreadPoolExecutor() as pool:
@@ -104,7 +104,7 @@ def test_who_has_no_identity_or_one_of_another_authority_is_not_let_in(realm, tm
 
 
 @pytest.mark.parametrize("name", [robot_server("fr"), HLI, "operator-desk"])
-def test_an_intruder_can_send_under_its_own_keys_only(realm, folder, name):
+def test_an_intruder_can_publish_only_under_its_own_keys(realm, folder, name):
     """Whoever has broken into one service, or has a person's identity, says each message of the table once a cycle."""
     intruder = Intruder(realm, folder, name)
     table = sayings(realm.description.cell, tuple(realm.robots))
@@ -134,7 +134,7 @@ def test_an_intruder_can_send_under_its_own_keys_only(realm, folder, name):
     intruder.close()
 
 
-def test_who_has_the_gate_may_order_a_stop(realm, folder):
+def test_the_identity_of_the_gate_may_order_a_stop(realm, folder):
     """The same message under the right identity arrives, so that what the others were denied was a message."""
     gate = Intruder(realm, folder, SIM)
     fr = realm.robots["fr"]
@@ -152,7 +152,7 @@ def test_who_has_the_gate_may_order_a_stop(realm, folder):
     gate.close()
 
 
-def test_who_watches_may_do_so_with_a_person_s_identity(realm, folder, monkeypatch):
+def test_an_observer_may_use_the_identity_of_a_person(realm, folder, monkeypatch):
     monkeypatch.delenv(IDENTITY)
     with pytest.raises(GuardedRealmError, match="is encrypted, and DELTAQ_IDENTITY names no identity"):
         open_watching_session(realm.description, SIM)
@@ -167,7 +167,7 @@ def test_who_watches_may_do_so_with_a_person_s_identity(realm, folder, monkeypat
     session.close()
 
 
-def test_a_service_does_not_speak_under_a_person_s_identity(realm, folder, monkeypatch):
+def test_a_service_cannot_publish_with_the_identity_of_a_person(realm, folder, monkeypatch):
     monkeypatch.delenv(IDENTITY)
     monkeypatch.setenv(CLIENT_IDENTITY, str(folder / "operator-desk"))
     with pytest.raises(GuardedRealmError, match="DELTAQ_IDENTITY names no identity"):

@@ -110,7 +110,7 @@ FLOODS = {
 @pytest.mark.by_day(2)
 @pytest.mark.long
 @pytest.mark.parametrize("name", FLOODS)
-async def test_beside_a_flood_over_zenoh_every_increment_is_judged_and_every_state_is_told(name: str) -> None:
+async def test_during_a_zenoh_flood_every_increment_is_judged_and_every_state_published(name: str) -> None:
     """In lockstep: the next state comes when the increment before it has its verdict, so no clock decides."""
     async with serving() as (hli, peer):
         where = peer.cell.hli
@@ -147,7 +147,7 @@ async def test_beside_a_flood_over_zenoh_every_increment_is_judged_and_every_sta
 
 
 @pytest.mark.long
-async def test_subscribers_that_never_read_take_nothing_from_others() -> None:
+async def test_subscribers_that_never_read_do_not_affect_others() -> None:
     async with serving() as (_, peer):
         where = peer.cell.hli
         stuck = [await asyncio.to_thread(open_session, connect=[where], must_connect=True) for _ in range(3)]
@@ -165,7 +165,7 @@ async def test_subscribers_that_never_read_take_nothing_from_others() -> None:
 
 
 @pytest.mark.long
-async def test_lines_of_a_flood_wait_and_a_holder_s_line_does_not() -> None:
+async def test_a_flood_of_lines_does_not_delay_the_lease_holder() -> None:
     async with serving() as (hli, peer), json_client(peer.cell.tcp_port) as holder:
         port = peer.cell.tcp_port
         await holder.ask("lease", type="lease", robot="fr", action="acquire")
@@ -210,7 +210,7 @@ async def test_a_refusal_goes_to_its_sender_alone() -> None:
             assert await first == moved
 
 
-async def test_where_idle_connections_have_every_place_a_stop_is_obeyed() -> None:
+async def test_a_stop_is_obeyed_although_idle_connections_fill_every_place() -> None:
     async with serving() as (_, peer), contextlib.AsyncExitStack() as stack:
         port = peer.cell.tcp_port
         for _ in range(MAX_CONNECTIONS + MAX_STOP_PLACES + 40):
@@ -222,7 +222,7 @@ async def test_where_idle_connections_have_every_place_a_stop_is_obeyed() -> Non
         assert (await peer.commands.get()).kind == "stop"
 
 
-async def test_a_stop_is_read_before_the_lines_that_came_before_it() -> None:
+async def test_a_stop_overtakes_earlier_lines() -> None:
     async with serving() as (hli, peer), json_client(peer.cell.tcp_port) as client:
         client.send_bytes(b'{"type":"describe"}\n' * 2000 + b'{"type":"stop"}\n{"type":"describe"}\n')
         answers = [(await client.receive("description", "done"))["type"] for _ in range(600)]

@@ -47,7 +47,7 @@ async def test_an_operator_needs_no_token_and_the_log_has_the_proven_name(hli, f
         await hli.entry("reset", outcome, identity="operator-desk", role="operator")
 
 
-async def test_a_controller_moves_and_does_not_reset(hli, folder, monkeypatch):
+async def test_a_controller_may_move_but_not_reset(hli, folder, monkeypatch):
     monkeypatch.setenv(CLIENT_IDENTITY, str(folder / "controller-tower"))
     async with connect(hli.peer.cell.hli, client="camera") as cell:
         async with cell.lease("fr"):
@@ -67,13 +67,13 @@ async def test_a_claimed_name_proves_nothing(hli, folder, tmp_path):
     assert hli.peer.commands.empty()
 
 
-async def test_tokens_are_as_good_as_before(hli):
+async def test_tokens_are_accepted_beside_identities(hli):
     async with connect(hli.peer.cell.hli, client="desk", token=OPERATOR) as cell:
         await cell.reset("fr")
     await hli.entry("reset", "done", client="desk", identity="", role="operator")
 
 
-async def test_a_client_with_an_identity_is_served_where_none_is_known(tmp_path, folder):
+async def test_a_cell_without_authority_serves_a_client_with_an_identity(tmp_path, folder):
     async with audited(tmp_path / "audit.jsonl") as running:
         turning = asyncio.create_task(running.peer.run())
         async with connect(running.peer.cell.hli, identity=folder / "operator-desk") as cell:
@@ -137,7 +137,7 @@ async def test_a_line_s_certificate_proves_role_and_name(lines, folder):
     await running.entry("reset", "done", identity="operator-desk", role="operator")
 
 
-async def test_without_one_or_with_a_service_s_a_line_proves_nothing(lines, folder):
+async def test_a_line_without_a_personal_certificate_proves_nothing(lines, folder):
     running, line = lines
     for number, identity in enumerate((None, folder / "robot-server-fr")):
         client = await line(identity)
@@ -146,9 +146,7 @@ async def test_without_one_or_with_a_service_s_a_line_proves_nothing(lines, fold
         await running.entry("connected", "done", client=f"stranger-{number}", identity="", role="observer")
 
 
-async def test_a_line_with_a_certificate_of_another_authority_or_out_of_date_is_no_line(
-    lines, folder, tmp_path
-):
+async def test_a_line_with_a_foreign_or_expired_certificate_is_refused(lines, folder, tmp_path):
     running, line = lines
     others = people(tmp_path / "others") / "operator-desk"
     for number, identity in enumerate((others, out_of_date(folder, tmp_path / "late")), start=1):
@@ -177,7 +175,7 @@ def test_with_an_authority_no_tokens_are_needed_and_clients_without_identity_obs
         assert len(set(roles.tokens)) == 2
 
 
-def test_the_authority_is_that_of_the_hli_or_of_a_file(folder, tmp_path):
+def test_the_authority_comes_from_the_hli_or_from_a_file(folder, tmp_path):
     cell = small_cell()
     own = authority_of_clients(cell, {IDENTITY: str(folder)})
     file = folder / "hli" / "authority.pem"

@@ -113,13 +113,17 @@ async def overheard(running: Running, stranger: OpenStranger) -> list[bytes]:
 
 @pytest.mark.by_day(1)
 @pytest.mark.parametrize("mode", ["client", "peer", "router"])
-async def test_a_stranger_hears_no_token_no_increment_and_no_request(running: Running, mode: str) -> None:
+async def test_an_eavesdropper_reads_no_token_no_increment_and_no_request(
+    running: Running, mode: str
+) -> None:
     stranger = await running.stranger(mode)
     assert await overheard(running, stranger) == []
     await asyncio.to_thread(stranger.close)
 
 
-async def test_without_the_rules_of_access_it_would(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_without_access_control_an_eavesdropper_reads_increments(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(open_front, "access", lambda *_: None)
     async with serving() as running:
         stranger = await asyncio.to_thread(OpenStranger, running.where, "small", answers=False)
@@ -131,7 +135,7 @@ async def test_without_the_rules_of_access_it_would(monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.by_day(1)
 @pytest.mark.parametrize("mode", ["client", "peer", "router"])
-async def test_no_state_and_no_verdict_of_a_stranger_reaches_a_client(running: Running, mode: str) -> None:
+async def test_forged_states_and_verdicts_reach_no_client(running: Running, mode: str) -> None:
     stranger = await running.stranger(mode)
     async with running.cell.lease("fr") as robot:
         await anext(running.cell.states("fr"))
@@ -161,7 +165,7 @@ async def test_no_state_and_no_verdict_of_a_stranger_reaches_a_client(running: R
     await asyncio.to_thread(stranger.close)
 
 
-async def test_the_token_of_a_lease_in_clear_and_a_guessed_proof_show_nothing(running: Running) -> None:
+async def test_a_lease_token_without_a_valid_proof_achieves_nothing(running: Running) -> None:
     stranger = await running.stranger()
     async with running.cell.lease("fr") as robot:
         token, cycle = running.token(), running.peer.cycle
@@ -219,7 +223,7 @@ class Relay:
         self._hli.close()
 
 
-async def test_whoever_sits_between_learns_no_operator_s_token_and_can_repeat_nothing(
+async def test_an_eavesdropper_in_the_middle_learns_no_token_and_can_replay_nothing(
     running: Running,
 ) -> None:
     where = endpoint()
@@ -243,7 +247,7 @@ async def test_whoever_sits_between_learns_no_operator_s_token_and_can_repeat_no
     await asyncio.to_thread(relay.close)
 
 
-async def test_a_lease_over_tcp_is_good_for_its_connection_alone(running: Running) -> None:
+async def test_a_lease_over_tcp_is_valid_only_for_its_connection(running: Running) -> None:
     port = running.peer.cell.tcp_port
     async with json_client(port, "holder") as holder, json_client(port, "thief") as thief:
         granted = await holder.ask("lease", type="lease", robot="fr", action="acquire")
@@ -262,7 +266,7 @@ async def test_a_lease_over_tcp_is_good_for_its_connection_alone(running: Runnin
         assert (await holder.ask("verdict", seq=2, **line))["outcome"] == "admitted"
 
 
-async def test_without_the_operator_s_token_a_client_takes_nothing_and_resets_nothing(
+async def test_without_the_operator_token_a_client_neither_takes_nor_resets_a_robot(
     running: Running,
 ) -> None:
     for token in (None, "guessed"):
@@ -275,7 +279,7 @@ async def test_without_the_operator_s_token_a_client_takes_nothing_and_resets_no
     assert running.peer.commands.empty()
 
 
-async def test_each_role_may_do_its_own_and_no_more() -> None:
+async def test_each_role_has_exactly_its_permissions() -> None:
     token = "the controller's token"
     async with serving(token) as running:
         operator, cell = running.cell, running.peer.cell
@@ -300,7 +304,7 @@ async def test_each_role_may_do_its_own_and_no_more() -> None:
                 assert (await line.ask("lease", **asked))["granted"]
 
 
-async def test_tokens_are_not_guessed_over_tcp(running: Running, caplog: pytest.LogCaptureFixture) -> None:
+async def test_tokens_cannot_be_guessed_over_tcp(running: Running, caplog: pytest.LogCaptureFixture) -> None:
     port = running.peer.cell.tcp_port
     for _ in range(50):
         async with json_client(port, name=None) as guesser:
@@ -318,7 +322,7 @@ async def test_tokens_are_not_guessed_over_tcp(running: Running, caplog: pytest.
 
 
 @pytest.mark.long
-async def test_who_sends_an_overheard_increment_again_and_again_takes_nothing_of_its_holder_s_rate(
+async def test_replayed_increments_do_not_use_up_the_rate_of_the_lease_holder(
     running: Running, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The attack: an eavesdropper beside the holder's link has one increment with its proof, and repeats it."""

@@ -101,7 +101,7 @@ def listening_ports():
 
 
 @pytest.mark.long
-def test_the_realm_moves_its_robots_and_opens_no_port(tmp_path, lasting_links):
+def test_the_services_move_the_robots_without_an_open_port(tmp_path, lasting_links):
     before = listening_ports()
     realm = LockstepRealm(tmp_path)
     assert listening_ports() == before
@@ -111,7 +111,7 @@ def test_the_realm_moves_its_robots_and_opens_no_port(tmp_path, lasting_links):
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
 @pytest.mark.long
-def test_another_user_finds_no_socket_and_is_not_let_in(realm):
+def test_another_user_cannot_reach_the_sockets(realm):
     links = list(guarded_links(realm.description).values())
     taken = realm.sim.taken
     # the user could read a key of 2**62 possible ones, were there one: nothing here depends on a secret
@@ -129,7 +129,7 @@ def test_another_user_finds_no_socket_and_is_not_let_in(realm):
 
 
 @pytest.mark.long
-def test_a_recording_moves_nothing_in_the_realm_that_it_is_of(realm, insider):
+def test_replayed_messages_move_nothing_in_their_own_cell(realm, insider):
     recording = recorded_motion(realm)
     fr = realm.robots["fr"]
     for _ in range(3):  # the brake of the last admission
@@ -147,7 +147,7 @@ def test_a_recording_moves_nothing_in_the_realm_that_it_is_of(realm, insider):
 
 
 @pytest.mark.long
-def test_a_recording_moves_no_robot_whose_server_has_just_started(realm, insider):
+def test_replayed_messages_move_no_robot_after_a_restart_of_its_server(realm, insider):
     recording = recorded_motion(realm)
     fr = realm.restart("fr")
     before = tuple(fr.q.tolist())
@@ -166,7 +166,7 @@ def test_a_recording_moves_no_robot_whose_server_has_just_started(realm, insider
 
 
 @pytest.mark.long
-def test_a_recording_moves_nothing_through_a_gate_that_has_just_started(realm, insider):
+def test_replayed_messages_move_nothing_after_a_restart_of_the_gate(realm, insider):
     recording = recorded_motion(realm)
     for _ in range(3):  # the brake of the last admission
         realm.cycle({})
@@ -186,7 +186,7 @@ def test_a_recording_moves_nothing_through_a_gate_that_has_just_started(realm, i
 
 
 @pytest.mark.long
-def test_processes_that_have_just_started_understand_one_another_within_three_cycles(realm):
+def test_restarted_processes_finish_their_handshake_within_three_cycles(realm):
     """Counted from the first state that arrives: a link of zenoh takes up to a fifth of a second to come back."""
     fr = realm.restart("fr")
     realm.restart_gate()

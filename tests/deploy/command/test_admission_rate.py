@@ -26,11 +26,11 @@ def status(cycle: int, **counters: int) -> RobotStatus:
         (status(100, admissions=50), status(120, admissions=10)),  # and has overtaken itself
     ],
 )
-def test_there_is_no_rate_without_cycles_of_one_process(before: RobotStatus, after: RobotStatus) -> None:
+def test_the_rate_needs_cycles_of_one_process(before: RobotStatus, after: RobotStatus) -> None:
     assert admission_rate(before, after) is None
 
 
-def test_only_what_came_in_between_counts() -> None:
+def test_the_rate_counts_only_cycles_between_two_readings() -> None:
     assert admission_rate(status(100, admissions=50), status(200, admissions=147)) == pytest.approx(0.97)
     assert admission_rate(status(100), status(200, admissions=100)) == 1.0
     assert admission_rate(status(100), status(200, braked_cycles=100)) == 0.0
@@ -63,5 +63,7 @@ def test_the_demonstration_ends_with_four_lines_in_words() -> None:
 @pytest.mark.parametrize(
     ("tracking", "said"), [(None, "no figures"), (summary(None)["tracking"], "too short")]
 )
-def test_a_camera_that_cannot_be_judged_is_told_so(tracking: dict[str, Any] | None, said: str) -> None:
+def test_the_demonstration_reports_a_camera_that_cannot_be_judged(
+    tracking: dict[str, Any] | None, said: str
+) -> None:
     assert said in in_words(summary(0.2) | {"tracking": tracking})[0]

@@ -29,7 +29,7 @@ def advised(*arguments: str) -> tuple[int, dict[str, object]]:
     return done.exit_code, json.loads(done.stdout) if done.stdout else {}
 
 
-def test_options_are_told_as_one_object_with_everything_a_program_needs() -> None:
+def test_json_options_are_one_object_with_complete_values() -> None:
     status, found = advised("--options", "3", "--seed", "4")
     assert status == 0
     assert (found["cell"], found["robot"], found["method"], found["seed"]) == ("dawm", "dawm", "annealing", 4)
@@ -53,7 +53,7 @@ def test_options_are_told_as_one_object_with_everything_a_program_needs() -> Non
     assert options[0]["energy"] <= options[0]["energy_here"]
 
 
-def test_a_hand_can_be_sent_elsewhere_and_the_other_stays() -> None:
+def test_one_hand_gets_a_new_pose_and_the_other_stays() -> None:
     status, found = advised("--hand", "left=1.7,0.3,1.5,0,90,0", "--options", "1")
     assert status == 0
     (option,) = found["options"]  # type: ignore[misc] # a list, as the test before sees
@@ -66,7 +66,7 @@ def test_a_hand_can_be_sent_elsewhere_and_the_other_stays() -> None:
     np.testing.assert_allclose(option["path"][-1], option["q"], atol=1e-9)
 
 
-def test_weights_choose_what_options_are_ranked_by() -> None:
+def test_weights_choose_the_ranking_of_options() -> None:
     _, found = advised("--criterion", "manipulability=1", "--weight", "travel=0.5", "--options", "1")
     (option,) = found["options"]  # type: ignore[misc] # a list
     assert found["weights"] == {"manipulability": 1.0, "travel": 0.5}
@@ -75,7 +75,7 @@ def test_weights_choose_what_options_are_ranked_by() -> None:
     )
 
 
-def test_a_trade_off_is_told_and_its_options_go_from_one_criterion_to_the_other() -> None:
+def test_a_trade_off_lists_options_from_one_criterion_to_the_other() -> None:
     status, found = advised("--trade-off", "travel,self_clearance")
     assert status == 0
     assert found["trade_off"] == ["travel", "self_clearance"]
@@ -86,7 +86,7 @@ def test_a_trade_off_is_told_and_its_options_go_from_one_criterion_to_the_other(
     assert costs == sorted(costs)
 
 
-def test_a_hand_that_may_leave_gives_an_arm_without_a_joint_to_spare_options_and_that_is_said() -> None:
+def test_a_non_redundant_arm_gets_marked_options_if_its_hand_may_leave() -> None:
     status, found = advised("--cell", "lab", "--robot", "fr", "--hands-may-leave")
     assert status == 0
     options = found["options"]
@@ -101,7 +101,7 @@ def test_a_hand_that_may_leave_gives_an_arm_without_a_joint_to_spare_options_and
     assert {"leave", "come", "back"} <= set(words)
 
 
-def test_hands_out_of_reach_are_said_to_be_and_that_is_exit_status_1() -> None:
+def test_hands_out_of_reach_are_reported_with_exit_status_1() -> None:
     status, found = advised("--hand", "left=9,0,1,0,0,0", "--method", "brute-force")
     assert status == 1
     assert found["options"] == []
@@ -130,7 +130,9 @@ def test_hands_out_of_reach_are_said_to_be_and_that_is_exit_status_1() -> None:
         (("--trade-off", "travel,travle"), "no criterion 'travle'"),
     ],
 )
-def test_a_wrong_request_is_answered_with_the_right_form(arguments: tuple[str, ...], said: str) -> None:
+def test_a_malformed_request_is_answered_with_the_expected_form(
+    arguments: tuple[str, ...], said: str
+) -> None:
     done = deltaq("advise", "--offline", "--effort", "0.1", *arguments)
     assert done.returncode == 2
     assert said in " ".join(done.stderr.replace("│", " ").split())
@@ -195,6 +197,6 @@ def test_an_option_is_driven_to_through_the_gate_with_the_hands_still(cell: Path
 
 @pytest.mark.live
 @pytest.mark.nightly
-def test_hands_are_driven_to_where_they_shall_be(cell: Path) -> None:
+def test_hands_are_driven_to_their_requested_poses(cell: Path) -> None:
     found = executed(cell, "--options", "1", "--hand", "left=1.6,0.4,1.4,0,90,0")
     assert all(option["hands_move"] for option in found["options"])

@@ -30,14 +30,14 @@ def entry(number: int, client: str, robot: str | None = None) -> bytes:
 
 
 @pytest.mark.long
-def test_without_a_log_it_says_so(tmp_path: Path) -> None:
+def test_audit_without_a_log_says_so(tmp_path: Path) -> None:
     done = deltaq("audit", str(tmp_path / "none.jsonl"))
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith(f"deltaq: there is no audit log {tmp_path / 'none.jsonl'}")
 
 
 @pytest.mark.long
-def test_it_shows_the_newest_over_rotated_files_and_passes_over_torn_lines(tmp_path: Path) -> None:
+def test_audit_reads_the_newest_rows_across_rotated_files_and_skips_torn_lines(tmp_path: Path) -> None:
     log = tmp_path / "audit.jsonl"
     (tmp_path / "audit.jsonl.2").write_bytes(entry(1, "first") + entry(2, "stranger"))
     (tmp_path / "audit.jsonl.1").write_bytes(b'{"torn\n' + entry(3, "stranger", "fr"))
@@ -52,7 +52,7 @@ def test_it_shows_the_newest_over_rotated_files_and_passes_over_torn_lines(tmp_p
     assert "[bold]reset[/bold]" in table, "a stranger's text is no markup"
 
 
-def test_a_cell_comes_up_without_a_log_where_none_can_be_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cell_starts_without_an_audit_log_if_none_can_be_written(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", "/proc/nowhere")
     file, why = audit_file_of("", "lab")
     assert file is None

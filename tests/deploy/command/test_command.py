@@ -38,7 +38,7 @@ def test_the_version_is_the_projects() -> None:
     ],
     ids=lambda value: type(value).__name__,
 )
-def test_an_error_has_the_exit_status_that_scripts_rely_on(error: ProtocolError, status: int) -> None:
+def test_each_error_has_its_documented_exit_status(error: ProtocolError, status: int) -> None:
     assert exit_status(error) == status
 
 
@@ -66,7 +66,7 @@ def test_an_error_has_the_exit_status_that_scripts_rely_on(error: ProtocolError,
     ],
     ids=" ".join,
 )
-def test_a_cell_that_is_not_up_is_exit_status_3_and_one_clear_line(
+def test_a_cell_that_is_not_running_gives_exit_status_3_and_one_clear_line(
     cell: str, arguments: tuple[str, ...]
 ) -> None:
     done = deltaq(*arguments, "--cell", cell)
@@ -115,14 +115,16 @@ def test_a_cell_that_is_not_up_is_exit_status_3_and_one_clear_line(
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
 )
-def test_wrong_usage_is_exit_status_2_and_says_what_is_allowed(arguments: tuple[str, ...], told: str) -> None:
+def test_wrong_usage_gives_exit_status_2_and_the_allowed_values(
+    arguments: tuple[str, ...], told: str
+) -> None:
     done = deltaq(*arguments)
     assert done.returncode == 2
     assert told in " ".join(done.stderr.replace("│", " ").split())
     assert "Traceback" not in done.stderr
 
 
-def test_a_cell_that_other_machines_could_drive_is_not_started(tmp_path: Path) -> None:
+def test_a_cell_open_to_other_machines_is_not_started(tmp_path: Path) -> None:
     file = tmp_path / "exposed.yaml"
     file.write_text("extends: lab\ntcp_address: 0.0.0.0\n", encoding="utf-8")
     done = deltaq("up", "--only", "hli", "--cell", str(file))
@@ -158,7 +160,7 @@ def test_the_schema_describes_every_topic_and_the_lines_of_tcp() -> None:
     assert list(json.loads(deltaq("schema", "state").stdout)) == ["state"]
 
 
-def test_the_doctor_says_what_it_found_about_this_machine(cell: str) -> None:
+def test_the_doctor_reports_its_findings_about_this_machine(cell: str) -> None:
     done = deltaq("doctor", "--cell", cell, "--json")
     report = json.loads(done.stdout)
     assert done.returncode == 0, report

@@ -39,7 +39,7 @@ def processes_of(folder: Path) -> list[str]:
     return [line for line in lines if str(folder) in line]
 
 
-def test_the_demonstration_moves_both_arms_tells_its_figures_and_leaves_nothing_running(
+def test_the_demonstration_moves_both_arms_reports_figures_and_leaves_no_process(
     tmp_path: Path,
 ) -> None:
     with demo(tmp_path, 4.0) as running:

@@ -76,7 +76,9 @@ def written(folder: Path, text: str) -> str:
 
 
 @pytest.mark.nightly
-def test_a_script_drives_every_mode_in_turn_and_says_where_the_hand_went(cell: Path, tmp_path: Path) -> None:
+def test_a_script_drives_every_mode_in_turn_and_reports_the_poses_of_the_hand(
+    cell: Path, tmp_path: Path
+) -> None:
     script = written(tmp_path, SCRIPT)
     arguments = (
         "--robot",
@@ -115,7 +117,7 @@ def test_a_script_drives_every_mode_in_turn_and_says_where_the_hand_went(cell: P
     wait_for_phase(cell, "ready")
 
 
-def test_an_interrupt_brings_the_robot_to_rest_and_gives_it_back(cell: Path, tmp_path: Path) -> None:
+def test_an_interrupt_brings_the_robot_to_rest_and_releases_it(cell: Path, tmp_path: Path) -> None:
     script = written(tmp_path, "- {duration_s: 60, move: {a1_deg_s: -4}}\n")
     command = [PROGRAM, "drive", "--robot", "gr", "--script", script, "--json", "--cell", str(cell)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as driver:
@@ -147,7 +149,7 @@ def test_a_stop_ends_the_drive_and_a_held_robot_is_not_driven(cell: Path, tmp_pa
     wait_for_phase(cell, "ready")
 
 
-def test_a_lease_that_is_lost_ends_the_drive_and_its_json_says_so(cell: Path, tmp_path: Path) -> None:
+def test_a_lost_lease_ends_the_drive_and_shows_in_its_json(cell: Path, tmp_path: Path) -> None:
     script = written(tmp_path, "- {duration_s: 60, move: {a1_deg_s: -4}}\n")
     command = [PROGRAM, "drive", "--robot", "gr", "--script", script, "--json", "--cell", str(cell)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as driver:
@@ -201,7 +203,7 @@ class Terminal:
         return self.driver.returncode, out, error
 
 
-def test_q_ends_a_drive_while_the_robot_moves_and_later_keys_are_not_for_the_shell(cell: Path) -> None:
+def test_q_ends_a_drive_in_motion_and_later_keys_do_not_reach_the_shell(cell: Path) -> None:
     terminal = Terminal(cell)
     terminal.hold(cell)
     terminal.press("qrm -rf\n" + "\x1b[A" * 20)
@@ -243,7 +245,7 @@ def test_a_driven_robot_leads_another_while_it_is_coupled(cell: Path, tmp_path: 
         ),
     ],
 )
-def test_a_signal_ends_a_drive_and_leaves_the_terminal_as_it_was(cell: Path, number: int) -> None:
+def test_a_signal_ends_a_drive_and_restores_the_terminal(cell: Path, number: int) -> None:
     terminal = Terminal(cell)
     terminal.hold(cell)
     terminal.driver.send_signal(number)
@@ -280,7 +282,7 @@ def test_a_signal_ends_a_drive_and_leaves_the_terminal_as_it_was(cell: Path, num
         (("--robot", "gr", "--criterion", "travle=1"), "no criterion 'travle'; there are travel, limits"),
     ],
 )
-def test_wrong_usage_is_told_in_a_line(
+def test_wrong_usage_gives_one_line(
     cell: Path,
     arguments: tuple[str, ...],
     told: str,
@@ -307,7 +309,7 @@ def test_wrong_usage_is_told_in_a_line(
         ("griper=on", 1, "'griper' is not an output of gr; it has gripper, tool_changer"),
     ],
 )
-def test_an_output_that_cannot_be_switched_by_the_command_is_told_with_what_can(
+def test_an_output_that_the_command_cannot_switch_is_answered_with_those_that_it_can(
     cell: Path,
     switched: str,
     code: int,
@@ -322,7 +324,7 @@ def test_an_output_that_cannot_be_switched_by_the_command_is_told_with_what_can(
     assert told in " ".join(capsys.readouterr().err.replace("│", "").split())
 
 
-def test_outputs_of_a_robot_that_is_driven_are_not_switched_by_others(
+def test_only_the_lease_holder_switches_outputs_of_a_driven_robot(
     cell: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["deltaq", "io", "--robot", "gr", "gripper=on", "--cell", str(cell)])

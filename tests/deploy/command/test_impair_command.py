@@ -37,7 +37,7 @@ def command(*options: str) -> list[str]:
         (("--listen", "tcp/192.0.2.1:9"), 3, "cannot listen on tcp/192.0.2.1:9"),
     ],
 )
-def test_impossible_use_is_reported_with_the_possible_one(
+def test_impossible_options_are_reported_with_the_possible_ones(
     options: tuple[str, ...], status: int, told: str
 ) -> None:
     words = command("--listen", SOMEWHERE, "--to", SOMEWHERE, *options)
@@ -48,7 +48,7 @@ def test_impossible_use_is_reported_with_the_possible_one(
 
 
 @pytest.mark.service
-def test_a_wire_is_cut_for_as_long_as_was_said_and_carried_before_and_after() -> None:
+def test_a_cut_lasts_as_long_as_requested_and_the_link_works_before_and_after() -> None:
     listen, to = endpoint(), endpoint()
     port = int(listen.rpartition(":")[2])
     with socket.create_server(("127.0.0.1", int(to.rpartition(":")[2]))) as server:
@@ -78,7 +78,7 @@ def test_a_wire_is_cut_for_as_long_as_was_said_and_carried_before_and_after() ->
 
 
 @pytest.mark.service
-def test_lines_that_are_late_unevenly_overtake_none_where_their_order_is_kept() -> None:
+def test_unevenly_delayed_lines_keep_their_order_if_requested() -> None:
     listen, to = endpoint(), endpoint()
     port = int(listen.rpartition(":")[2])
     sent = b"".join(b"%d\n" % number for number in range(200))
@@ -103,7 +103,7 @@ def test_lines_that_are_late_unevenly_overtake_none_where_their_order_is_kept() 
 
 
 @pytest.mark.service
-def test_a_relay_ends_with_the_script_that_started_it_even_if_that_is_killed() -> None:
+def test_a_relay_ends_with_the_killed_script_that_started_it() -> None:
     words = command("--listen", endpoint(), "--to", endpoint())
     script = ["bash", "-c", '"$@" & wait', "bash", *words]
     with subprocess.Popen(script, stdout=subprocess.PIPE, text=True) as running:

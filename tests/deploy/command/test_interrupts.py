@@ -52,7 +52,7 @@ BY_ONE = [
 @pytest.mark.parametrize(
     ("module", "words"), [*((module, "status") for module in BY_EVERY_VERB), *BY_ONE], ids=lambda text: text
 )
-def test_ctrl_c_while_modules_are_loaded_ends_in_silence(tmp_path: Path, module: str, words: str) -> None:
+def test_ctrl_c_during_imports_ends_silently(tmp_path: Path, module: str, words: str) -> None:
     (tmp_path / "sitecustomize.py").write_text(INTERRUPTS_ITSELF)
     path = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
     done = subprocess.run(

@@ -19,7 +19,7 @@ def folder(tmp_path):
     return tmp_path / "identities"
 
 
-def test_it_makes_an_identity_for_each_service_and_person_and_says_where_the_authority_belongs(folder):
+def test_keys_makes_an_identity_for_each_service_and_person_and_names_the_place_of_the_authority(folder):
     done = deltaq(
         "keys", "--cell", "lab", "--output", str(folder), "--operator", "desk", "--controller", "camera"
     )
@@ -35,7 +35,7 @@ def test_it_makes_an_identity_for_each_service_and_person_and_says_where_the_aut
 
 
 @pytest.mark.long
-def test_it_adds_what_is_missing_and_tells_programs_what_it_did(folder, tmp_path):
+def test_keys_adds_missing_identities_and_lists_them_in_json(folder, tmp_path):
     for operator, made, kept in (("desk", 5, 0), ("tower", 1, 4), ("tower", 0, 5)):
         done = deltaq(
             "keys", "--cell", "lab", "--output", str(folder), "--operator", operator, "--days", "30", "--json"
@@ -63,7 +63,7 @@ def test_it_adds_what_is_missing_and_tells_programs_what_it_did(folder, tmp_path
         (("--output", "/proc/none"), "cannot be written"),
     ],
 )
-def test_a_user_s_mistake_is_one_line_and_nothing_is_made(folder, arguments, said):
+def test_wrong_options_give_one_line_and_make_no_files(folder, arguments, said):
     done = deltaq("keys", "--output", str(folder), *arguments)
     assert done.returncode == 2
     assert said in done.stderr
@@ -72,7 +72,7 @@ def test_a_user_s_mistake_is_one_line_and_nothing_is_made(folder, arguments, sai
 
 
 @pytest.mark.long
-def test_check_tells_of_the_end_before_it_comes_and_refuses_what_is_over(folder, tmp_path, monkeypatch):
+def test_check_warns_before_a_certificate_expires_and_refuses_an_expired_one(folder, tmp_path, monkeypatch):
     make(folder)
     monkeypatch.setenv(IDENTITY, str(folder))
     assert deltaq("check", "--cell", "lab").stdout.startswith("lab: good")

@@ -75,7 +75,7 @@ def test_the_file_of_another_robot_is_a_problem_and_exit_status_1(tmp_path: Path
 
 
 @pytest.mark.long
-def test_silence_is_exit_status_3_with_what_to_look_at() -> None:
+def test_a_silent_krc_gives_exit_status_3_with_causes_to_check() -> None:
     (port,) = free_ports(1)
     status, told = rsi("sniff", "--address", "127.0.0.1", "--port", str(port), "--duration-s", "0.1")
     assert status == 3
@@ -84,7 +84,7 @@ def test_silence_is_exit_status_3_with_what_to_look_at() -> None:
     assert any(str(port) in hint for hint in told["hints"])
 
 
-def test_an_address_that_is_not_ours_is_told() -> None:
+def test_an_address_of_another_machine_is_reported() -> None:
     result = CliRunner().invoke(app, ["krc", "sniff", "--address", "203.0.113.1", "--port", "40000"])
     assert isinstance(result.exception, ServiceUnreachableError)
     assert "cannot listen on UDP 203.0.113.1:40000" in str(result.exception)

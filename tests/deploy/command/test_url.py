@@ -31,7 +31,7 @@ def server() -> Iterator[Server]:
 
 @pytest.mark.by_day(1)
 @pytest.mark.parametrize("verb", VERBS.values(), ids=VERBS.keys())
-def test_without_a_listener_one_line_says_what_to_start(verb: tuple[str, ...]) -> None:
+def test_without_a_listener_one_line_names_the_command_to_start(verb: tuple[str, ...]) -> None:
     nowhere = endpoint()
     done = deltaq(*verb, "--url", nowhere)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (3, "", 1)
@@ -47,7 +47,7 @@ def test_an_invalid_address_is_wrong_usage(verb: tuple[str, ...]) -> None:
 
 
 @pytest.mark.long
-def test_a_robot_that_the_cell_does_not_have_is_named_with_those_it_has(server: Server) -> None:
+def test_an_unknown_robot_is_answered_with_the_known_ones(server: Server) -> None:
     for verb in (("topic", "echo", "state"), ("lease",), ("reset",)):
         done = deltaq(*verb, "--robot", "rf", "--url", server.description.hli)
         assert done.returncode == 2, verb
@@ -56,7 +56,7 @@ def test_a_robot_that_the_cell_does_not_have_is_named_with_those_it_has(server: 
 
 @pytest.mark.service
 @pytest.mark.parametrize("verb", VERBS.values(), ids=VERBS.keys())
-def test_the_address_is_enough(server: Server, verb: tuple[str, ...]) -> None:
+def test_commands_need_only_the_address(server: Server, verb: tuple[str, ...]) -> None:
     json_too = () if "echo" in verb else ("--json",)
     done = deltaq(*verb, *json_too, "--url", server.description.hli)
     assert done.returncode == 0, done.stderr
@@ -69,5 +69,5 @@ def test_the_address_is_enough(server: Server, verb: tuple[str, ...]) -> None:
 
 
 @pytest.mark.service
-def test_a_status_for_people_has_the_units_of_a_cell_whose_file_is_not_here(server: Server) -> None:
+def test_status_over_an_address_shows_the_units_of_the_remote_cell(server: Server) -> None:
     assert "5.7°" in deltaq("status", "--url", server.description.hli).stdout  # 0.1 rad

@@ -21,13 +21,13 @@ def test_a_held_robot_at_one_place_in_two_cycles_rests():
     assert rests(status(Phase.HELD, 1), status(Phase.HELD, 5))
 
 
-def test_one_look_is_not_enough():
+def test_one_observation_does_not_prove_rest():
     assert not rests(None, status(Phase.HELD))
     assert not rests(status(Phase.HELD, 5), status(Phase.HELD, 5))
 
 
 @pytest.mark.parametrize("phase", [Phase.READY, Phase.ENGAGED, Phase.BRAKING])
-def test_a_robot_that_is_not_held_may_set_out_again(phase):
+def test_a_robot_that_is_not_held_does_not_rest(phase):
     assert not rests(status(phase, 1), status(phase, 5))
 
 

@@ -35,7 +35,7 @@ def containers() -> dict[str, Any]:
     return compose_document()["services"]
 
 
-def test_the_committed_file_is_what_the_table_of_services_gives() -> None:
+def test_the_committed_file_agrees_with_the_table_of_services() -> None:
     assert FILE.read_text(encoding="utf-8") == compose_text(), "write it anew with `make docs`"
     assert TOKENS_FILE.read_text(encoding="utf-8") == tokens_text(), "write it anew with `make docs`"
     assert REAL_TIME_FILE.read_text(encoding="utf-8") == real_time_text(), "write it anew with `make docs`"
@@ -54,7 +54,7 @@ def test_the_file_follows_the_compose_specification() -> None:
 
 
 @pytest.mark.long
-def test_the_specification_would_notice_a_field_that_compose_does_not_know(tmp_path: Any) -> None:
+def test_the_specification_rejects_an_unknown_field(tmp_path: Any) -> None:
     wrong = tmp_path / "compose.yaml"
     wrong.write_text(compose_text().replace("restart:", "restrat:"), encoding="utf-8")
     checked = validate(str(wrong))
@@ -112,7 +112,7 @@ def test_services_of_a_cell_on_several_machines_get_their_identities(tmp_path: P
     assert [name for name, one in document["services"].items() if "build" in one] == ["robot-server-fr"]
 
 
-def test_on_one_machine_the_services_meet_in_a_volume_that_no_other_container_has(
+def test_on_one_machine_the_services_share_a_volume_that_no_other_container_mounts(
     containers: dict[str, Any],
 ) -> None:
     document = compose_document()
@@ -126,7 +126,7 @@ def test_on_one_machine_the_services_meet_in_a_volume_that_no_other_container_ha
     assert "guarded" in document["volumes"]
 
 
-def test_no_container_runs_as_root_or_can_write_to_its_image_or_become_more(
+def test_no_container_runs_as_root_writes_to_its_image_or_gains_privileges(
     containers: dict[str, Any],
 ) -> None:
     for container in containers.values():
@@ -136,7 +136,7 @@ def test_no_container_runs_as_root_or_can_write_to_its_image_or_become_more(
         assert container["security_opt"] == ["no-new-privileges:true"]
 
 
-def test_every_container_has_limits_and_none_swaps(containers: dict[str, Any]) -> None:
+def test_every_container_has_limits_and_no_swap(containers: dict[str, Any]) -> None:
     for name, container in containers.items():
         assert {"mem_limit", "pids_limit"} <= set(container)
         if name != ADDRESS:
@@ -144,13 +144,13 @@ def test_every_container_has_limits_and_none_swaps(containers: dict[str, Any]) -
             assert container["cpus"] > 0
 
 
-def test_nothing_is_asked_of_an_engine_that_old_or_rootless_ones_refuse(containers: dict[str, Any]) -> None:
+def test_old_and_rootless_engines_accept_every_setting(containers: dict[str, Any]) -> None:
     for container in containers.values():
         assert "ulimits" not in container
         assert "start_interval" not in container.get("healthcheck", {})
 
 
-def test_controllers_and_what_lies_between_them_and_the_motors_may_ask_for_real_time_priority() -> None:
+def test_services_on_the_motion_path_may_request_real_time_priority() -> None:
     limits = {name: one["ulimits"]["rtprio"] for name, one in real_time_document()["services"].items()}
     assert limits == {
         "robot-server-fr": 20,
@@ -166,7 +166,7 @@ def test_controllers_and_what_lies_between_them_and_the_motors_may_ask_for_real_
         assert limits[service.name] == RESOURCES[service.role].real_time
 
 
-def test_a_health_check_starts_no_interpreter(containers: dict[str, Any]) -> None:
+def test_a_health_check_does_not_start_python(containers: dict[str, Any]) -> None:
     checked = [container for container in containers.values() if "healthcheck" in container]
     assert len(checked) == 7
     for container in checked:
@@ -175,7 +175,7 @@ def test_a_health_check_starts_no_interpreter(containers: dict[str, Any]) -> Non
         assert any(file.startswith(mount.partition(":")[0]) for mount in container["tmpfs"])
 
 
-def test_tokens_are_secrets_and_in_no_environment(containers: dict[str, Any], tmp_path: Path) -> None:
+def test_tokens_are_secrets_and_not_environment_variables(containers: dict[str, Any], tmp_path: Path) -> None:
     def tokens_of(document: dict[str, Any]) -> dict[str, dict[str, str]]:
         return {
             name: {variable: file for variable, file in one["environment"].items() if "TOKEN" in variable}
@@ -220,13 +220,13 @@ def test_tokens_are_secrets_and_in_no_environment(containers: dict[str, Any], tm
     )
 
 
-def test_a_console_that_other_machines_reach_gets_its_token_as_a_secret(tmp_path: Path) -> None:
+def test_a_console_open_to_other_machines_gets_its_token_as_a_secret(tmp_path: Path) -> None:
     cell = tmp_path / "seen.yaml"
     cell.write_text("extends: lab\nconsole_address: 0.0.0.0\n", encoding="utf-8")
     assert compose_document(str(cell))["services"]["console"]["secrets"] == ["deltaq-console-token"]
 
 
-def test_the_demonstration_says_where_the_console_is_once_it_is_there(containers: dict[str, Any]) -> None:
+def test_the_demonstration_prints_the_address_of_the_ready_console(containers: dict[str, Any]) -> None:
     address = containers[ADDRESS]
     assert address["command"] == ["echo", "the console is at http://127.0.0.1:7480"]
     assert address["depends_on"] == {"console": {"condition": "service_healthy"}}
@@ -238,7 +238,7 @@ def test_the_demonstration_says_where_the_console_is_once_it_is_there(containers
 DOCKERFILE = FILE.with_name("Dockerfile")
 
 
-def test_the_image_is_built_from_a_clone_and_all_that_its_build_takes_from_there_is_let_through() -> None:
+def test_the_build_context_contains_every_file_that_the_image_copies() -> None:
     (build,) = [one["build"] for one in compose_document()["services"].values() if "build" in one]
     root = (FILE.parent / build["context"]).resolve()
     assert root / build["dockerfile"] == DOCKERFILE
@@ -274,7 +274,7 @@ def test_the_image_has_the_user_that_the_containers_run_as() -> None:
     assert set("".join(made).split()) == folders
 
 
-def test_the_page_prints_the_limits_that_there_are() -> None:
+def test_the_page_prints_the_present_limits() -> None:
     page = (FILE.parents[1] / "docs" / "how-to" / "containers.md").read_text(encoding="utf-8")
     printed = re.findall(r"^\| ([a-z-]+) \| (\d+) \| (\d+) \| ([\d.]+) \|", page, re.MULTILINE)
     limits = [
@@ -283,7 +283,7 @@ def test_the_page_prints_the_limits_that_there_are() -> None:
     assert sorted(printed) == sorted(limits)
 
 
-def test_a_cell_is_printed_and_one_that_is_not_there_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_cell_is_printed_and_a_missing_one_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
     main(["lab"])
     assert "robot-server-fr:" in capsys.readouterr().out
     with pytest.raises(SystemExit) as ended:

@@ -32,7 +32,7 @@ def seconds_to_healthy() -> Iterator[float]:
         compose("down", "--timeout", "10")
 
 
-def test_the_file_is_what_the_engine_takes_it_for() -> None:
+def test_the_engine_reads_the_file_as_written() -> None:
     config = compose("config", "--quiet")
     assert config.returncode == 0, config.stderr
 
@@ -53,7 +53,7 @@ def test_an_increment_from_outside_the_containers_moves_fr(seconds_to_healthy: f
     print(f"healthy after {seconds_to_healthy:.0f} s, moved {time.monotonic() - begin:.1f} s later")
 
 
-def test_the_demonstration_s_controllers_are_not_started_unasked(seconds_to_healthy: float) -> None:
+def test_the_controllers_of_the_demonstration_start_only_on_demand(seconds_to_healthy: float) -> None:
     services = compose("ps", "--services").stdout.split()
     assert seconds_to_healthy > 0
     assert set(services) == {

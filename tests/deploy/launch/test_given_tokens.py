@@ -43,7 +43,7 @@ def told(launcher: Launcher, name: str) -> dict[str, str]:
     return dict(json.loads(launcher.children[name].lines[0]))
 
 
-def test_a_console_that_inherits_the_operators_token_gets_one_of_its_own_which_no_other_user_can_read(
+def test_a_console_started_with_the_operator_token_gets_its_own_private_token(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("DELTAQ_OPERATOR_TOKEN", OPERATOR)
@@ -66,7 +66,7 @@ def test_a_console_that_inherits_the_operators_token_gets_one_of_its_own_which_n
     assert not list(folder.glob("console-*"))
 
 
-def test_files_of_a_killed_launch_are_replaced_and_no_link_is_followed(
+def test_token_files_of_a_killed_launch_are_replaced_without_following_links(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("DELTAQ_CLIENT_TOKEN", CONTROLLER)
@@ -78,7 +78,7 @@ def test_files_of_a_killed_launch_are_replaced_and_no_link_is_followed(
     assert not (tmp_path / "elsewhere").exists()
 
 
-def test_a_console_whose_user_gave_it_a_token_or_no_role_keeps_what_it_has(
+def test_a_console_with_a_given_token_or_without_role_keeps_it(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert not console_needs_token({})

@@ -61,7 +61,7 @@ def test_a_service_starts_only_after_those_it_needs_are_ready() -> None:
     ]
 
 
-def test_the_console_runs_as_an_ordinary_program_and_what_the_cell_needs_ahead_of_it() -> None:
+def test_the_console_has_ordinary_priority_and_the_needed_services_a_higher_one() -> None:
     # started by the service as a driver is by the console, once it is seen to serve
     tells = (
         "import os, signal, subprocess, sys\nprint('ready: here', flush=True)\nsys.stdin.read()\n"
@@ -83,7 +83,7 @@ def test_the_console_runs_as_an_ordinary_program_and_what_the_cell_needs_ahead_o
     assert found == {"sim": NICENESS if may_run_ahead else own, "console": own}
 
 
-def test_leaving_the_block_ends_every_service_the_last_first() -> None:
+def test_leaving_the_block_ends_services_in_reverse_order() -> None:
     launcher = Launcher([service("sim", SERVES), service("hli", SERVES, needs=("sim",))], nothing)
     with launcher:
         launcher.start()
@@ -95,7 +95,7 @@ def test_leaving_the_block_ends_every_service_the_last_first() -> None:
     assert ended == [Exited("hli", -signal.SIGTERM), Exited("sim", -signal.SIGTERM)]
 
 
-def test_a_service_that_dies_early_is_reported_with_its_own_last_words() -> None:
+def test_a_service_that_dies_early_is_reported_with_its_last_lines() -> None:
     with (
         Launcher([service("sim", SERVES), service("hli", DIES)], nothing) as launcher,
         pytest.raises(
@@ -118,7 +118,7 @@ def test_a_service_that_never_serves_is_reported_and_ended() -> None:
     assert launcher.children["sim"].status == -signal.SIGTERM
 
 
-def test_a_service_that_works_is_named_and_waited_for_longer_than_one_that_does_nothing() -> None:
+def test_a_busy_service_gets_a_longer_deadline_than_an_idle_one() -> None:
     works = "import time\nwhile time.process_time() < 1.0: pass\n" + SERVES
     said: list[str] = []
     with Launcher([service("sim", works)], lambda _, line: said.append(line)) as launcher:
@@ -131,7 +131,7 @@ def test_a_service_that_works_is_named_and_waited_for_longer_than_one_that_does_
     ]
 
 
-def test_a_cell_runs_without_its_console_which_joins_when_it_serves() -> None:
+def test_a_cell_runs_before_its_console_is_ready() -> None:
     late = "signal.sigwait([signal.SIGUSR1])\n" + SERVES
     late = "import signal; signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGUSR1])\n" + late
     said: list[str] = []
@@ -146,7 +146,7 @@ def test_a_cell_runs_without_its_console_which_joins_when_it_serves() -> None:
         assert launcher.ready == {"sim", "console"}
 
 
-def test_a_console_that_ends_is_told_and_the_cell_starts_without_it() -> None:
+def test_a_console_that_ends_is_reported_and_the_cell_starts_without_it() -> None:
     said: list[str] = []
     console = replace(service("console", DIES), role=Role.CONSOLE)
     with Launcher([console, service("sim", SERVES)], lambda _, line: said.append(line)) as launcher:
@@ -155,7 +155,7 @@ def test_a_console_that_ends_is_told_and_the_cell_starts_without_it() -> None:
     assert [line for line in said if line.startswith("console ended with exit status 3")]
 
 
-def test_a_service_that_the_system_cannot_start_is_a_line_and_the_others_end(
+def test_a_service_that_cannot_start_gives_one_line_and_ends_the_others(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def no_more(*_: object, **__: object) -> None:
@@ -243,7 +243,7 @@ def test_services_are_ended_even_if_the_robots_cannot_be_asked_to_rest() -> None
     assert "the robots could not be asked to rest: no answer" in said
 
 
-def test_nobody_is_asked_to_rest_when_the_hli_never_served() -> None:
+def test_robots_are_not_asked_to_rest_if_the_hli_never_served() -> None:
     asked: list[bool] = []
     launcher = Launcher([service("hli", DIES)], nothing, lambda: asked.append(True))
     with launcher, pytest.raises(LaunchError):
@@ -260,7 +260,9 @@ def test_a_signal_is_an_event_while_services_run() -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_who_does_not_wait_for_events_is_interrupted_and_the_services_end(number: signal.Signals) -> None:
+def test_a_signal_interrupts_a_program_outside_of_events_and_ends_the_services(
+    number: signal.Signals,
+) -> None:
     launcher = Launcher([service("sim", SERVES)], nothing, signals_raise=True)
     before = signal.getsignal(number)
 
@@ -276,7 +278,7 @@ def test_who_does_not_wait_for_events_is_interrupted_and_the_services_end(number
     assert signal.getsignal(number) is before
 
 
-def test_nothing_interrupts_the_end() -> None:
+def test_signals_do_not_interrupt_the_shutdown() -> None:
     def interrupted_again() -> None:
         os.kill(os.getpid(), signal.SIGINT)
         asked.append(True)
@@ -332,7 +334,7 @@ def test_no_service_outlives_a_launcher_that_is_killed_alone_or_with_its_warden(
             os.kill(pid, signal.SIGKILL)
 
 
-def test_ready_is_the_line_that_begins_so() -> None:
+def test_only_a_line_that_begins_with_ready_counts_as_ready() -> None:
     code = "print('not ready: yet', flush=True);" + SERVES
     with Launcher([service("sim", code)], nothing) as launcher:
         launcher.start()
@@ -372,7 +374,7 @@ def test_every_line_of_a_launch_that_logs_as_json_is_an_object(capsys: pytest.Ca
     ]
 
 
-def test_a_signal_that_does_not_wake_the_launcher_is_heeded_all_the_same() -> None:
+def test_the_launcher_handles_a_signal_that_does_not_wake_it() -> None:
     # as one that comes right before it falls asleep: the handler is due, and nothing interrupts the wait
     with Launcher((), lambda *_: None) as launcher:
         elsewhere = threading.Timer(0.2, lambda: signal.pthread_kill(threading.get_ident(), signal.SIGTERM))
@@ -381,13 +383,13 @@ def test_a_signal_that_does_not_wake_the_launcher_is_heeded_all_the_same() -> No
         elsewhere.join()
 
 
-def test_no_port_of_the_lab_but_those_of_rsi_is_one_that_a_socket_may_be_given() -> None:
+def test_only_the_rsi_ports_of_the_lab_lie_in_the_ephemeral_range() -> None:
     listeners = [each for service in cell_services(load_cell("lab"), "lab") for each in service.listens]
     given = [each.field for each in listeners if each.port >= LEAST_GIVEN_PORT]
     assert given == ["robots.fr.driver.port", "robots.gr.driver.port"]  # as in KUKA's examples
 
 
-def test_an_hli_with_datagrams_needs_its_port_over_both() -> None:
+def test_an_hli_with_datagrams_needs_its_port_over_tcp_and_udp() -> None:
     cell = load_cell("lab").model_copy(update={"hli": "tcp+udp/127.0.0.1:7447"})
     hli = next(service for service in cell_services(cell, "lab") if service.name == "hli")
     zenoh = [(at.transport, at.port) for at in hli.listens if at.field == "hli"]

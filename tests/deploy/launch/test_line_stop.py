@@ -30,7 +30,7 @@ def test_a_missing_listener_is_reported() -> None:
         stop_over_a_line(small_cell())
 
 
-def test_it_is_obeyed_and_confirmed_or_said_not_to_be() -> None:
+def test_a_stop_is_confirmed_or_reported_unconfirmed() -> None:
     with Server() as server:
         assert stop_over_a_line(server.description).what == "stop"
         assert server.command().kind == "stop"
@@ -40,7 +40,7 @@ def test_it_is_obeyed_and_confirmed_or_said_not_to_be() -> None:
 
 
 @pytest.mark.parametrize("is_known", [True, False])
-def test_encrypted_lines_take_it_with_and_without_their_certificate(
+def test_encrypted_lines_carry_a_stop_with_and_without_the_certificate_of_the_server(
     files: dict[str, str], is_known: bool
 ) -> None:
     with Server(encrypted=files) as server:
@@ -48,7 +48,7 @@ def test_encrypted_lines_take_it_with_and_without_their_certificate(
         assert server.command().kind == "stop"
 
 
-def test_a_certificate_that_others_have_signed_is_known_without_theirs(tmp_path: Path) -> None:
+def test_a_given_certificate_is_trusted_without_its_issuer(tmp_path: Path) -> None:
     curve = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-days", "2")
     key, signed = tmp_path / "lines.key", tmp_path / "lines.pem"
     ours, theirs = tmp_path / "authority.key", tmp_path / "authority.pem"
@@ -98,7 +98,7 @@ def deaf(says: bytes, times: int) -> Iterator[CellDescription]:
 
 
 @pytest.mark.parametrize("says", [b"", b"\x15\x03\x03\x00\x02\x02\x46"], ids=["nothing", "an alert of TLS"])
-def test_an_end_without_an_answer_is_no_stop(files: dict[str, str], says: bytes) -> None:
+def test_a_connection_that_ends_without_an_answer_is_no_stop(files: dict[str, str], says: bytes) -> None:
     with deaf(says, 1) as cell, pytest.raises(ServiceUnreachableError):
         stop_over_a_line(cell, {})
     with deaf(says, 2) as cell, pytest.raises(ServiceUnreachableError, match="also sent in the clear"):

@@ -55,7 +55,7 @@ def ahead(told: list[str], functions: list[str], names: tuple[str, ...] = ("pape
     return prepare.compiled_ahead(Needed(names), told.append, functions.append)
 
 
-def test_each_function_is_told_as_it_is_compiled_and_the_block_comes_after(
+def test_each_compiled_function_is_reported_before_the_block_starts(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     compiler(monkeypatch, "import sys; print('compiling near'); print('compiling', *sys.argv[1:])")
@@ -66,13 +66,13 @@ def test_each_function_is_told_as_it_is_compiled_and_the_block_comes_after(
     assert told == []
 
 
-def test_a_compiler_that_fails_ends_the_start_with_its_last_words(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failing_compiler_ends_the_start_with_its_last_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     compiler(monkeypatch, "print('compiling near'); print('no space left'); raise SystemExit(1)")
     with pytest.raises(LaunchError, match=r"could not be compiled:\n  no space left$"), ahead([], []):
         pytest.fail("the block was entered")
 
 
-def test_where_no_folder_can_be_written_to_one_of_this_run_serves_and_one_line_says_so(
+def test_without_a_writable_folder_a_temporary_one_is_used_and_reported(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(machine_code, "folder", lambda _: "")
@@ -89,7 +89,7 @@ def test_where_no_folder_can_be_written_to_one_of_this_run_serves_and_one_line_s
     assert not kept.exists()
 
 
-def test_a_run_without_any_room_at_all_goes_on(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_run_continues_without_any_writable_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(machine_code, "folder", lambda _: "")
     monkeypatch.setattr(prepare.tempfile, "tempdir", str(tmp_path / "missing"))
     told: list[str] = []
@@ -121,7 +121,7 @@ def test_compiled_code_is_complete_per_controller_and_folder(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(("asked", "lines"), [(False, 3), (True, 30)])
-def test_a_compiler_counts_in_few_lines_unless_it_is_asked_for_every_function(
+def test_the_compiler_prints_few_lines_of_progress_by_default(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], asked: bool, lines: int
 ) -> None:
     @contextmanager
@@ -188,7 +188,7 @@ def test_needed_functions_are_compiled_in_parallel(monkeypatch: pytest.MonkeyPat
         pass
 
 
-def test_a_compiler_that_fails_ends_those_beside_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failing_compiler_ends_the_parallel_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     compiler(monkeypatch, "print('no space left'); raise SystemExit(1)", gate="import signal; signal.pause()")
     said = r"the camera's controllers could not be compiled:\n  no space left$"
     with pytest.raises(LaunchError, match=said), ahead([], []):
@@ -246,7 +246,7 @@ def test_a_gate_that_cannot_be_compiled_ends_the_start(monkeypatch: pytest.Monke
         pytest.fail("the block was entered")
 
 
-def test_a_gate_that_was_compiled_is_neither_loaded_nor_looked_at_again(tmp_path: Path) -> None:
+def test_a_compiled_gate_is_neither_loaded_nor_checked_again(tmp_path: Path) -> None:
     code = (
         "import sys; from deltaq_cell import __main__ as gate;"
         "where = sys.argv[1]; gate.folder = lambda _: where; gate.mark_complete(where, 'gate', gate._PACKAGE);"
@@ -256,7 +256,7 @@ def test_a_gate_that_was_compiled_is_neither_loaded_nor_looked_at_again(tmp_path
 
 
 @pytest.mark.long
-def test_a_function_is_told_when_it_is_compiled_and_not_when_it_is_found_on_disk(tmp_path: Path) -> None:
+def test_only_a_newly_compiled_function_is_reported(tmp_path: Path) -> None:
     law = tmp_path / "law.py"
     law.write_text(f"# {uuid.uuid4()}: machine code is found by the text of its file\n{ONE_LAW}")
     runs = [

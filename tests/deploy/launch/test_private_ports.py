@@ -27,13 +27,13 @@ def claim() -> None:
     os.close(lock)
 
 
-def test_a_claim_lies_in_a_folder_of_the_user_s_own(folder: Path) -> None:
+def test_a_claim_lies_in_a_private_folder_of_the_user(folder: Path) -> None:
     claim()
     assert folder.stat().st_mode & 0o777 == 0o700
 
 
 @pytest.mark.parametrize("what", ["a link", "writable by all", "a file"])
-def test_a_folder_that_another_user_put_there_is_refused(folder: Path, tmp_path: Path, what: str) -> None:
+def test_a_folder_of_another_user_is_refused(folder: Path, tmp_path: Path, what: str) -> None:
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     if what == "a link":
@@ -48,7 +48,7 @@ def test_a_folder_that_another_user_put_there_is_refused(folder: Path, tmp_path:
     assert not list(elsewhere.iterdir())
 
 
-def test_no_link_in_it_is_followed(folder: Path, tmp_path: Path) -> None:
+def test_a_symbolic_link_in_the_folder_is_not_followed(folder: Path, tmp_path: Path) -> None:
     folder.mkdir(mode=0o700)
     (folder / str(private_cell.FIRST_PORT)).symlink_to(tmp_path / "elsewhere")
     with pytest.raises(OSError, match="symbolic"):

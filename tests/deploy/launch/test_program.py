@@ -36,7 +36,7 @@ def ended(*command: str, stdout: int = subprocess.PIPE) -> tuple[int, str]:
 
 
 @pytest.mark.parametrize("file", PROGRAMS, ids=lambda file: file.relative_to(ROOT).as_posix())
-def test_each_program_that_a_user_starts_ends_in_this_way(file: Path) -> None:
+def test_each_user_program_ends_through_run_program(file: Path) -> None:
     # what others start, with positions for arguments, is no user's
     assert "    run_program(main, " in file.read_text(encoding="utf-8")
 
@@ -51,7 +51,7 @@ def test_each_program_that_a_user_starts_ends_in_this_way(file: Path) -> None:
     ],
     ids=lambda words: " ".join(words) if isinstance(words, list) else "",
 )
-def test_a_mistake_is_told_in_words(command: list[str], told: str) -> None:
+def test_a_user_error_gives_one_line(command: list[str], told: str) -> None:
     status, errors = ended("-m", *command)
     assert status == USAGE
     assert told in errors.splitlines()[-1]
@@ -67,7 +67,7 @@ def test_a_mistake_is_told_in_words(command: list[str], told: str) -> None:
     ],
     ids=["program", "command"],
 )
-def test_a_reader_that_has_left_is_no_error(command: list[str], status: int) -> None:
+def test_a_closed_pipe_is_no_error(command: list[str], status: int) -> None:
     reader, writer = os.pipe()
     os.close(reader)
     try:

@@ -5,13 +5,13 @@ import pytest
 from deltaq_deploy.launch.rates import percentile, rate_of
 
 
-def test_messages_that_come_evenly_have_one_period() -> None:
+def test_evenly_spaced_messages_have_one_period() -> None:
     rate = rate_of([0.0, 0.5, 1.0, 1.5])
     assert rate.count == 4
     assert (rate.rate_hz, rate.period_median_s, rate.period_p99_s, rate.period_max_s) == (2.0, 0.5, 0.5, 0.5)
 
 
-def test_one_late_message_shows_in_the_longest_period_only() -> None:
+def test_one_late_message_changes_only_the_longest_period() -> None:
     rate = rate_of([0.0, 1.0, 2.0, 5.0, 6.0])
     assert rate.period_median_s == 1.0
     assert rate.period_max_s == 3.0
@@ -22,7 +22,7 @@ def test_fewer_than_two_messages_have_no_rate(times_s: list[float]) -> None:
     assert rate_of(times_s).rate_hz is None
 
 
-def test_messages_that_come_all_at_once_have_no_rate() -> None:
+def test_simultaneous_messages_have_no_rate() -> None:
     assert rate_of([1.0, 1.0]).rate_hz is None
 
 

@@ -31,7 +31,7 @@ def test_a_refusal_names_policy_priority_limit_and_remedy() -> None:
         (None, None, Rating.FAIR, "does not say"),
     ],
 )
-def test_throttling_that_is_off_is_told_with_the_remedy(
+def test_disabled_throttling_is_reported_with_the_remedy(
     runtime_us: int | None, period_us: int | None, verdict: Rating, found: str
 ) -> None:
     finding = judge_throttling(runtime_us, period_us)
@@ -40,7 +40,7 @@ def test_throttling_that_is_off_is_told_with_the_remedy(
     assert (finding.advice == "") is (verdict is Rating.GOOD)
 
 
-def test_asking_leaves_this_process_as_it_was() -> None:
+def test_the_query_does_not_change_this_process() -> None:
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     assert [finding.what for finding in examine_real_time()] == ["real-time priority", "real-time throttling"]
     assert (os.sched_getscheduler(0), os.sched_getparam(0)) == before

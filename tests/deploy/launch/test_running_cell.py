@@ -96,7 +96,7 @@ def test_every_service_of_a_running_cell_is_healthy(cell: RunningCell) -> None:
         assert json.loads(done.stdout)["healthy"] is True
 
 
-def test_who_is_nearer_to_the_motors_goes_first_where_the_system_allows_it(cell: RunningCell) -> None:
+def test_services_nearer_to_the_motors_have_higher_priority_if_permitted(cell: RunningCell) -> None:
     priorities: dict[str, set[int]] = {}
     for pid in cell.children():
         command = Path(f"/proc/{pid}/cmdline").read_text()
@@ -123,14 +123,14 @@ def threads_named(pid: int, start: str) -> list[int]:
     return [int(task.name) for task in tasks if (task / "comm").read_text().startswith(start)]
 
 
-def test_status_shows_people_the_phase_of_each_robot(cell: RunningCell) -> None:
+def test_status_shows_the_phase_of_each_robot(cell: RunningCell) -> None:
     done = cell.deltaq("status")
     assert done.returncode == 0
     assert re.search(r"fr .* ready", done.stdout)
     assert re.search(r"gr .* ready", done.stdout)
 
 
-def test_top_looks_as_often_as_asked_and_shows_what_status_shows(cell: RunningCell) -> None:
+def test_status_watch_repeats_status_the_requested_number_of_times(cell: RunningCell) -> None:
     done = cell.deltaq("status", "--watch", "--count", "3", "--interval-s", "0.1", "--json")
     looks = [json.loads(line) for line in done.stdout.splitlines()]
     assert len(looks) == 3
@@ -144,7 +144,7 @@ def test_states_come_once_a_cycle(cell: RunningCell) -> None:
     assert rate["rate_hz"] == pytest.approx(1 / measured["cycle_s"], rel=0.1)
 
 
-def test_echo_prints_as_many_messages_as_asked_for_each_an_object_on_a_line(cell: RunningCell) -> None:
+def test_echo_prints_the_requested_number_of_messages_one_object_a_line(cell: RunningCell) -> None:
     done = cell.deltaq("topic", "echo", "state", "--robot", "gr", "--count", "3")
     states = [json.loads(line) for line in done.stdout.splitlines()]
     assert [state["robot"] for state in states] == ["gr", "gr", "gr"]
@@ -159,7 +159,7 @@ def test_a_stop_holds_every_robot_until_each_is_reset(cell: RunningCell) -> None
     wait_for_phases(cell, {"fr": "ready", "gr": "ready"})
 
 
-def test_a_dry_run_tells_what_the_gate_would_say_and_moves_nothing(cell: RunningCell) -> None:
+def test_a_dry_run_gives_the_verdict_of_the_gate_without_motion(cell: RunningCell) -> None:
     done = cell.deltaq("dry-run", "--robot", "fr", "--dq", "1e-5,0,0,0,0,0", "--json")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["outcome"] == "admitted"
@@ -173,7 +173,7 @@ def test_a_dry_run_tells_what_the_gate_would_say_and_moves_nothing(cell: Running
     wait_for_phases(cell, {"fr": "ready", "gr": "ready"})
 
 
-def test_outputs_are_set_and_shown_and_not_against_the_holder_of_the_lease(cell: RunningCell) -> None:
+def test_outputs_are_set_and_shown_and_refused_to_others_than_the_lease_holder(cell: RunningCell) -> None:
     assert cell.deltaq("io", "--robot", "gr", "gripper=on").returncode == 0
     deadline = time.monotonic() + 300
     while not json.loads((told := cell.deltaq("io", "--robot", "gr", "--json")).stdout)["outputs"]["gripper"]:
@@ -194,7 +194,7 @@ def test_outputs_are_set_and_shown_and_not_against_the_holder_of_the_lease(cell:
     assert cell.deltaq("io", "--robot", "gr", "gripper=off").returncode == 0
 
 
-def test_a_contact_is_allowed_seen_and_forbidden_again(cell: RunningCell) -> None:
+def test_a_contact_is_allowed_shown_and_forbidden_again(cell: RunningCell) -> None:
     assert cell.deltaq("contact", "gripper_on_valves").returncode == 0
     wait_for_contacts(cell, {"gripper_on_valves": True})
     assert cell.deltaq("contact", "gripper_on_valves", "--forbid").returncode == 0
@@ -210,7 +210,7 @@ def wait_for_contacts(cell: RunningCell, wanted: dict[str, bool]) -> None:
         assert time.monotonic() < deadline, found
 
 
-def test_a_lease_that_is_taken_is_seen_and_can_be_taken_away(cell: RunningCell) -> None:
+def test_a_held_lease_is_shown_and_can_be_revoked(cell: RunningCell) -> None:
     command = [PROGRAM, "lease", "--robot", "fr", "--take", "--json", "--cell", str(cell.file)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
         assert holder.stdout is not None
@@ -236,7 +236,7 @@ def test_the_wrong_cell_at_an_address_is_named(cell: RunningCell, tmp_path: Path
     assert "serves cell lab, not other" in done.stderr
 
 
-def test_a_service_that_dies_is_named_and_can_be_started_again_and_nothing_is_left_in_the_end(
+def test_a_dead_service_is_named_and_restarted_and_no_process_remains(
     cell: RunningCell,
 ) -> None:
     """The last of this cell."""

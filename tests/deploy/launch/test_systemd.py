@@ -35,7 +35,7 @@ def lab() -> dict[str, Unit]:
     return {name: read(text) for name, text in units().items()}
 
 
-def test_the_committed_units_are_what_the_table_of_services_gives() -> None:
+def test_the_committed_units_agree_with_the_table_of_services() -> None:
     committed = {file.name: file.read_text(encoding="utf-8") for file in FOLDER.iterdir()}
     assert committed == units(), "write them anew with `make docs`"
 
@@ -65,7 +65,7 @@ def test_systemd_finds_nothing_wrong_with_them(tmp_path: Path, options: list[str
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed here")
-def test_systemd_would_notice_a_setting_that_it_does_not_know(tmp_path: Path) -> None:
+def test_systemd_rejects_an_unknown_setting(tmp_path: Path) -> None:
     main(["lab", "--to", str(tmp_path), "--python", sys.executable])
     file = tmp_path / "deltaq-sim.service"
     file.write_text(file.read_text().replace("NoNewPrivileges", "NoNewPriveleges"))
@@ -75,7 +75,7 @@ def test_systemd_would_notice_a_setting_that_it_does_not_know(tmp_path: Path) ->
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed here")
-def test_systemd_counts_every_unit_among_those_that_are_well_locked_up() -> None:
+def test_systemd_rates_the_confinement_of_every_unit_as_ok() -> None:
     for file in FOLDER.glob("*.service"):
         command = ["systemd-analyze", "security", "--offline=yes", "--threshold=40", "--no-pager", str(file)]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -118,7 +118,7 @@ def test_limits_are_those_of_the_containers(lab: dict[str, Unit]) -> None:
     assert words(lab["deltaq-console.service"], "RestrictRealtime") == ["yes"]
 
 
-def test_only_peers_with_a_clock_of_their_own_are_watched(lab: dict[str, Unit]) -> None:
+def test_the_watchdog_covers_only_services_with_a_heartbeat(lab: dict[str, Unit]) -> None:
     watched = {name for name, settings in lab.items() if "WatchdogSec" in settings}
     robots = [
         f"deltaq-{kind}-{robot}.service" for kind in ("robot-server", "emulator") for robot in ("fr", "gr")
@@ -127,7 +127,7 @@ def test_only_peers_with_a_clock_of_their_own_are_watched(lab: dict[str, Unit]) 
     assert all(words(lab[name], "Type") == ["notify"] for name in watched)
 
 
-def test_real_robots_have_no_emulator_and_a_console_that_does_not_say_so() -> None:
+def test_units_of_real_robots_start_no_emulator_and_no_emulated_console() -> None:
     found = units(real=True)
     assert not any("emulat" in text for text in found.values())
     assert "emulated" in units()["deltaq-console.service"]
@@ -163,7 +163,7 @@ def test_own_units_are_overwritten_and_other_files_are_not(tmp_path: Path) -> No
     assert not any("emulator" in name for name in names)
 
 
-def test_a_cell_in_a_users_home_can_be_read_there() -> None:
+def test_a_unit_can_read_a_cell_in_a_home_folder() -> None:
     (sim,) = (service for service in cell_services(load_cell("lab"), "lab") if service.name == "sim")
     assert "ProtectHome=read-only" in unit(sim, "/home/desk/plant.yaml", PYTHON, [sim])
     assert "ProtectHome=yes" in unit(sim, "/etc/deltaq/plant.yaml", PYTHON, [sim])

@@ -77,7 +77,7 @@ def test_leftover_children_of_a_service_end_and_the_status_is_the_services(
         assert process.returncode == status
 
 
-def test_sigterm_is_handed_on_to_the_service() -> None:
+def test_sigterm_is_forwarded_to_the_service() -> None:
     with contained(
         "import signal, os\nsignal.pthread_sigmask(signal.SIG_BLOCK, {15})\nprint('ready', flush=True)\n"
         "signal.sigwait({15})\nos._exit(5)"
@@ -88,7 +88,7 @@ def test_sigterm_is_handed_on_to_the_service() -> None:
         assert process.wait(300) == 5
 
 
-def test_without_it_the_end_of_the_first_process_takes_all_others_along() -> None:
+def test_without_the_wrapper_the_end_of_the_first_process_kills_all_others() -> None:
     command = [*OWN_PROCESSES, sys.executable, "-c", LEAVES_ONE, BRAKES]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None

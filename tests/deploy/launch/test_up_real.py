@@ -32,7 +32,7 @@ def reasons(file: Path) -> list[str]:
     return lines
 
 
-def test_a_loopback_in_the_cell_and_another_address_in_the_file_are_refused(tmp_path: Path) -> None:
+def test_a_loopback_address_in_the_cell_with_another_in_the_krc_file_is_refused(tmp_path: Path) -> None:
     address, krc_address = reasons(cell_file(tmp_path, "port: 49152"))
     assert address.startswith("robots.fr.driver.address: 127.0.0.1 is this machine's own")
     assert "send to 192.168.10.10" in address
@@ -47,23 +47,23 @@ def test_a_loopback_in_the_cell_and_another_address_in_the_file_are_refused(tmp_
         ("192.168.10.10", "krc_address: 192.168.10.10 is this machine's own"),
     ],
 )
-def test_an_address_that_no_krc_has_is_refused(tmp_path: Path, krc_address: str, message: str) -> None:
+def test_an_address_impossible_for_a_krc_is_refused(tmp_path: Path, krc_address: str, message: str) -> None:
     file = cell_file(tmp_path, f"address: 192.168.10.10, krc_address: {krc_address}")
     assert any(message in line for line in reasons(file))
 
 
-def test_files_of_the_krc_that_cannot_be_safe_are_refused_at_once(tmp_path: Path) -> None:
+def test_unsafe_krc_files_are_refused_before_the_start(tmp_path: Path) -> None:
     file = cell_file(tmp_path, "address: 192.168.10.10, krc_address: 192.168.10.20, port: 49200")
     (line,) = reasons(file)
     assert line.startswith("robots.fr.driver.port: mine_ethernet.xml: CONFIG/PORT: is 49152")
 
 
-def test_addresses_that_can_be_meant_pass(tmp_path: Path) -> None:
+def test_plausible_addresses_pass(tmp_path: Path) -> None:
     real = cell_file(tmp_path, "address: 192.168.10.10, krc_address: 192.168.10.20")
     refuse_unreal(load_cell(real), real, ["fr"])
 
 
-def test_an_emulator_that_was_started_by_hand_may_be_met_on_the_loopback(tmp_path: Path) -> None:
+def test_the_loopback_passes_for_a_separately_started_emulator(tmp_path: Path) -> None:
     file = cell_file(tmp_path, "port: 49152", ip_number="127.0.0.1")
     refuse_unreal(load_cell(file), file, ["fr"])
 
@@ -74,5 +74,5 @@ def test_the_shipped_cell_is_refused_with_status_2_and_starts_nothing() -> None:
     assert result.output == ""
 
 
-def test_services_of_another_machine_are_not_asked_for() -> None:
+def test_services_of_another_machine_are_not_checked() -> None:
     refuse_unreal(load_cell("lab"), find_cell("lab"), [])
