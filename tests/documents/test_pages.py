@@ -88,8 +88,8 @@ NOT_RUN = {
     "drive-by-hand.md": [
         "waits for keys; tests/deploy/command/test_drive.py drives a terminal",
         "a file of the system",
-        "steps of a script; tests/controllers/test_held_object.py runs the like",
-        "steps of a script; tests/deploy/command/test_drive.py runs the like",
+        "steps of a script; tests/controllers/test_held_object.py runs similar ones",
+        "steps of a script; tests/deploy/command/test_drive.py runs similar ones",
     ],
     "faults.md": [
         "takes some minutes; tests/testing/test_cell_under_test.py injects every fault",
