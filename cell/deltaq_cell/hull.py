@@ -4,7 +4,8 @@ coal searches for the farthest corner of a large hull from where its last search
 its last digits, on the queries before it, and a recording would not replay to the bit. Up to 32 corners it checks
 all of them. A mesh whose hull has more is replaced by a polytope of at most 32 corners around it.
 
-A hull is sent as its corners. The same corners in the same order give the same distances to the last bit.
+A hull is sent as its corners. The same corners in the same order give the same distances to the last bit. Hulls that
+come with a robot may have more corners, and then do so but for rounding: see `deltaq_cell.convex_parts`.
 """
 
 from __future__ import annotations
@@ -24,6 +25,9 @@ Corners: TypeAlias = tuple[tuple[float, float, float], ...]
 
 MOST_CORNERS = 32
 """coal's bound between searching all corners and walking from one to the next."""
+
+MOST_TOLD = 256
+"""Most corners of a hull that came with a robot."""
 
 MOST_M = 1e6
 """Greatest coordinate of a corner [m]."""
@@ -49,32 +53,28 @@ def hull_corners(points: Array) -> Corners:
         HullError: the points lie in a plane, or some are not finite.
     """
     try:
-        hull = _convex_hull(points)
+        hull = convex_hull(points)
     except RuntimeError:  # coal takes no corner with more than 255 neighbours, such as a fine cone's tip
-        return _as_told(_outside(_around(points, _DIRECTIONS)))
-    corners = _points_of(hull)
-    return _as_told(
-        corners if len(corners) <= MOST_CORNERS else _outside(_around(corners, _normals_of(hull)))
-    )
+        return as_told(_outside(_around(points, DIRECTIONS)))
+    corners = points_of(hull)
+    return as_told(corners if len(corners) <= MOST_CORNERS else _outside(_around(corners, _normals_of(hull))))
 
 
 def hull_shape(corners: Corners) -> Any:
     """The `coal.Convex` with these corners, in this order.
 
     Raises:
-        HullError: there are more than 32, or they are not the corners of a convex body.
+        HullError: there are more than `MOST_TOLD`, or they are not the corners of a convex body.
     """
-    if len(corners) > MOST_CORNERS:
-        raise HullError(
-            f"a hull has {len(corners)} corners, at most {MOST_CORNERS} are measured alike always"
-        )
-    hull = _convex_hull(np.array(corners, dtype=np.float64).reshape(-1, 3))
+    if len(corners) > MOST_TOLD:
+        raise HullError(f"a hull has {len(corners)} corners, must have at most {MOST_TOLD}")
+    hull = convex_hull(np.array(corners, dtype=np.float64).reshape(-1, 3))
     if hull.num_points != len(corners):
         raise HullError(f"of {len(corners)} corners of a hull only {hull.num_points} are on its outside")
     order = {corner: index for index, corner in enumerate(corners)}
-    numbers = [order[corner] for corner in _as_told(_points_of(hull))]
+    numbers = [order[corner] for corner in as_told(points_of(hull))]
     faces = coal.StdVec_Triangle()
-    for face in _faces_of(hull):
+    for face in faces_of(hull):
         faces.append(coal.Triangle(*(numbers[corner] for corner in face)))
     return coal.Convex(_points(corners), faces)
 
@@ -88,7 +88,7 @@ def _around(points: Array, normals: Array) -> Array:
         points: to be contained.
         normals: (n, 3) outward ones of their hull, which cut best.
     """
-    directions = np.vstack([_DIRECTIONS, normals])
+    directions = np.vstack([DIRECTIONS, normals])
     middle = (points.max(axis=0) + points.min(axis=0)) / 2
     size = float(np.ptp(points, axis=0).max())
     reach = (((points - middle) / size) @ directions.T).max(axis=0) + _ROOM
@@ -106,8 +106,8 @@ def _around(points: Array, normals: Array) -> Array:
 
 def _outside(corners: Array) -> Array:
     """Those corners that qhull takes for corners: of two that rounding tells apart it takes one."""
-    hull = _convex_hull(corners)
-    return corners if hull.num_points == len(corners) else _points_of(hull)
+    hull = convex_hull(corners)
+    return corners if hull.num_points == len(corners) else points_of(hull)
 
 
 def _corners(normals: Array, reach: Array) -> Array:
@@ -132,11 +132,17 @@ def _directions() -> Array:
 
 
 _BOX_FACES = 6
-_DIRECTIONS = _directions()
+DIRECTIONS = _directions()
 """A box's normals first, then those that cut its edges and corners."""
 
 
-def _convex_hull(points: Array) -> Any:
+def convex_hull(points: Array) -> Any:
+    """The `coal.Convex` of (k, 3) `points` [m].
+
+    Raises:
+        HullError: the points lie in a plane, or some are not finite.
+        RuntimeError: a corner has more than 255 neighbours.
+    """
     if len(points) < 4 or not np.all(np.abs(points) <= MOST_M):
         raise HullError(f"no convex hull of {len(points)} points: it takes four, and finite numbers")
     greatest, _, least = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
@@ -147,18 +153,20 @@ def _convex_hull(points: Array) -> Any:
     return coal.Convex.convexHull(_points(points), True, "Qt")
 
 
-def _points_of(hull: Any) -> Array:
+def points_of(hull: Any) -> Array:
+    """(k, 3) corners of a hull [m]."""
     return np.array([hull.point(index) for index in range(hull.num_points)])
 
 
-def _faces_of(hull: Any) -> list[list[int]]:
+def faces_of(hull: Any) -> list[list[int]]:
+    """Triangles of a hull, each as numbers of its corners."""
     return [[hull.polygons(face)[corner] for corner in range(3)] for face in range(hull.num_polygons)]
 
 
 def _normals_of(hull: Any) -> Array:
     """(n, 3) outward unit normals of a hull's faces, nearly equal ones once."""
-    corners = _points_of(hull)
-    a, b, c = corners[np.array(_faces_of(hull))].transpose(1, 0, 2)
+    corners = points_of(hull)
+    a, b, c = corners[np.array(faces_of(hull))].transpose(1, 0, 2)
     normals = np.cross(b - a, c - a)
     length = np.linalg.norm(normals, axis=1)
     outward = np.sign(np.einsum("ij,ij->i", normals, a - corners.mean(axis=0)))
@@ -176,5 +184,6 @@ def _points(points: Array | Corners) -> Any:
     return vector
 
 
-def _as_told(points: Array | Sequence[Any]) -> Corners:
+def as_told(points: Array | Sequence[Any]) -> Corners:
+    """Corners as they are sent."""
     return tuple((float(x), float(y), float(z)) for x, y, z in points)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from deltaq_cell.description import RobotDescription
 from deltaq_cell.hull import Corners
-from deltaq_cell.models import RobotModelError, collision_names, load_urdf, urdf_from_text
+from deltaq_cell.models import RobotModelError, Urdf, collision_names, load_urdf, urdf_from_text
 from deltaq_cell.never_checked import Pair, Why, never_checked
 from deltaq_cell.robot_bodies import (
     CarriedFrames,
@@ -37,7 +37,7 @@ class RobotModel:
     Args:
         description: the robot as its cell describes it.
         name: the robot's name in the cell; its bodies' names begin with it (`fr/link_5`).
-        urdf: URDF text to use in place of `description.model`, e.g. one that came over the network.
+        urdf: URDF or its text to use in place of `description.model`, e.g. one that came over the network.
         hulls: hulls that came with it: of bodies whose meshes need not be found, by name without the robot's.
 
     Attributes:
@@ -59,12 +59,13 @@ class RobotModel:
         self,
         description: RobotDescription,
         name: str,
-        urdf: str | None = None,
+        urdf: str | Urdf | None = None,
         hulls: Mapping[str, Corners] | None = None,
     ) -> None:
         self.description = description
         self.name = name
-        source = load_urdf(description.model) if urdf is None else urdf_from_text(urdf)
+        source = load_urdf(description.model) if urdf is None else urdf
+        source = urdf_from_text(source) if isinstance(source, str) else source
         self.urdf = source.text
         self._source = source
         self._T_world_base = placement(description.base)

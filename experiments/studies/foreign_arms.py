@@ -20,7 +20,7 @@ from deltaq_cell.models import RobotModelError, load_urdf
 from deltaq_cell.urdf_parsing import parse_model
 from deltaq_deploy.launch.program import run_program
 from deltaq_protocol.arrays import Array
-from studies.foreign_scenes import CYCLE_S, ROUNDING_M, SELF_STOP_M, STOP_M, MeshOracle
+from studies.foreign_scenes import CYCLE_S, ROUNDING_M, SELF_STOP_M, STOP_M, MeshOracle, unjudged
 
 ROBOTS = "package://example-robot-data/robots"
 ARMS = {
@@ -111,12 +111,6 @@ def free(urdf: str, moving: str, rng: Any) -> Gate:
     raise GateError("q", urdf, "must be clear of itself in one of 40 configurations", "name a start")
 
 
-def unjudged(gate: Gate) -> set[frozenset[str]]:
-    """Pairs of bodies that the gate never checks, by name."""
-    pairs = gate.cell.robots["arm"].never_checked
-    return {frozenset(each.removeprefix("arm/") for each in pair) for pair in pairs}
-
-
 def attack(urdf: str, moving: str, decisions: int, seed: int) -> dict[str, Any]:
     """The figures of one arm."""
     rng = np.random.default_rng(seed)
@@ -133,9 +127,9 @@ def attack(urdf: str, moving: str, decisions: int, seed: int) -> dict[str, Any]:
             kind, left = int(rng.integers(3)), int(rng.integers(1, HOLD))
             wish = asked(kind, gate, fastest, rng)
         left -= 1
-        begin = time.perf_counter()
+        begin = time.process_time()
         step = gate.step(wish)
-        ms.append((time.perf_counter() - begin) * 1e3)
+        ms.append((time.process_time() - begin) * 1e3)
         outcomes[step.outcome.value] = outcomes.get(step.outcome.value, 0) + 1
         moved += bool(step.dq.any())
         rest = step.q_cmd + step.dq * max(0.0, (step.verdict.time_to_stop_s or 0.0) / CYCLE_S - 1) / 2

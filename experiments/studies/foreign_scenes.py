@@ -1,9 +1,10 @@
-"""The gate alone among other people's scenes: `python -m studies.foreign_scenes --data FOLDER --every 25`.
+"""The gate alone among other people's scenes: `python -m studies.foreign_scenes --data FOLDER --output KEPT`.
 
 Problems of MotionBenchMaker (Chamzas et al., RA-L 2022) for a UR5 and a Panda, in FOLDER/ur5 and FOLDER/panda with
 URDF, SRDF, meshes and `problems.tar.bz2`. Each is planned with RRT-Connect (Kuffner and LaValle, ICRA 2000) and
-shortcuts, clear by the stop distance on the meshes, and sent at full speed through `deltaq.Gate`. `MeshOracle` judges
-every setpoint and where the robot would stop after it, on the meshes themselves: no hull and no kernel of the gate's.
+shortcuts, clear by the stop distance on the meshes at every setpoint, and sent at full speed through `deltaq.Gate`.
+`MeshOracle` judges every setpoint and where the robot would stop after it, on the meshes themselves: no hull and no
+kernel of the gate's.
 """
 
 from __future__ import annotations
@@ -12,10 +13,10 @@ import argparse
 import json
 import tarfile
 import time
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
-from itertools import pairwise
+from dataclasses import dataclass, field
+from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ import pinocchio as pin
 import yaml
 
 from deltaq import Box, Cylinder, Gate, GateError, Sphere
+from deltaq.foreign_robot import whole_body
 from deltaq.obstacles import Obstacle
 from deltaq_cell.models import collision_names, load_urdf
 from deltaq_cell.urdf_parsing import parse_geometry, parse_model
@@ -39,6 +41,8 @@ RESOLUTION = 0.04
 """Of the planner's checks: norm of a step in joint space [rad]."""
 TRIES = 4000
 """Of the planner, after which a problem counts as not planned."""
+PLANS = 5
+"""That are made of a problem until one is clear at every setpoint, between the planner's checks, too."""
 RAMP_S = 0.2
 """Time from a hold to full speed along the path [s]."""
 PATIENCE = 250
@@ -100,6 +104,17 @@ class MeshOracle:
         number = next(i for i, each in enumerate(pairs) if set(each) == {first, second})
         pin.updateGeometryPlacements(self.model, self._data, self.geometry, self._asked, q)
         return float(pin.computeDistance(self.geometry, self._asked, number).min_distance)
+
+
+def unjudged(gate: Gate) -> set[frozenset[str]]:
+    """Pairs of bodies of the URDF of which the gate checks no part, by name."""
+    robot = gate.cell.robots["arm"]
+    names = [body.name for body in robot.geometry.geometryObjects]
+    never = robot.never_checked_pairs()
+    pairs: dict[bool, set[frozenset[str]]] = {True: set(), False: set()}
+    for pair in combinations(sorted(names), 2):
+        pairs[pair in never].add(frozenset(whole_body(each.removeprefix("arm/")) for each in pair))
+    return pairs[True] - pairs[False]
 
 
 def _is_judged(one: tuple[str, int], other: tuple[str, int], left_out: set[frozenset[str]]) -> bool:
@@ -198,7 +213,7 @@ class Scene:
         decisions, false_admissions: cycles, and those after which the oracle found a pair too near.
         clear_rad, admitted_rad: length of all paths, and of what was admitted of them.
         unfiltered_s, filtered_s: time of what was admitted, by the limits alone and through the gate.
-        ms: of each decision.
+        ms: processor time of each decision.
         causes: cycles that were limited, by reason; blocked: pairs at which a path ended.
     """
 
@@ -217,9 +232,18 @@ class Scene:
     causes: Counter[str] = field(default_factory=Counter)
     blocked: Counter[str] = field(default_factory=Counter)
 
+    @classmethod
+    def told(cls, figures: dict[str, Any]) -> Scene:
+        """The scene of which `vars` made these figures."""
+        return cls(**figures | {key: Counter(figures[key]) for key in ("causes", "blocked")})
+
+    def __add__(self, other: Scene) -> Scene:
+        """The figures of both."""
+        return Scene(**{name: value + getattr(other, name) for name, value in vars(self).items()})
+
     def row(self) -> dict[str, Any]:
         """The figures to print."""
-        told = {key: value for key, value in asdict(self).items() if key not in ("ms", "causes", "blocked")}
+        told = {key: value for key, value in vars(self).items() if key not in ("ms", "causes", "blocked")}
         ms = np.array(self.ms or [0.0])
         return told | {
             "share_admitted": round(self.admitted_rad / max(self.clear_rad, 1e-9), 4),
@@ -241,9 +265,9 @@ def stream(gate: Gate, oracle: MeshOracle, path: Array, scene: Scene) -> None:
     while at < len(path) - 1 and waits < PATIENCE:
         ahead = min(at + rate, len(path) - 1.0)
         target = np.array([np.interp(ahead, index, joint) for joint in path.T])
-        begin = time.perf_counter()
+        begin = time.process_time()
         step = gate.step(target - gate.q_cmd())
-        scene.ms.append((time.perf_counter() - begin) * 1e3)
+        scene.ms.append((time.process_time() - begin) * 1e3)
         cycles += 1
         # the stopping trajectory: dq times (N - k) / N for k of 1 to N
         rest = step.q_cmd + step.dq * max(0.0, (step.verdict.time_to_stop_s or 0.0) / CYCLE_S - 1) / 2
@@ -267,24 +291,27 @@ def stream(gate: Gate, oracle: MeshOracle, path: Array, scene: Scene) -> None:
     scene.unfiltered_s += at * CYCLE_S
     scene.filtered_s += (cycles - waits) * CYCLE_S
     if waits >= PATIENCE and step.verdict.pair is not None:
-        one, other = (name.removeprefix("arm/") for name in step.verdict.pair)
+        one, other = (whole_body(name.removeprefix("arm/")) for name in step.verdict.pair)
         on_mesh, on_hull = oracle.distance_m(step.q_cmd, (one, other)), step.verdict.clearance_m or 0.0
         scene.blocked[
             f"{last}, {on_mesh * 1e3:.1f} mm on the mesh and {on_hull * 1e3:.1f} mm on the hull"
         ] += 1
 
 
-def problems(folder: Path, every: int) -> Iterator[tuple[str, dict[str, Any], dict[str, Any]]]:
-    """Name of the scene, scene and request of every so many-th problem."""
+def problems(folder: Path, every: int) -> Iterator[tuple[str, int, dict[str, Any], dict[str, Any]]]:
+    """Name of the scene, number, scene and request of every so many-th problem; one of each scene after the other."""
     with tarfile.open(folder / "problems.tar.bz2") as archive:
         members = {member.name: member for member in archive.getmembers()}
-        for name in sorted(name for name in members if "/request" in name):
-            if (int(name[-9:-5]) - 1) % every == 0:
+        for name in sorted(
+            (name for name in members if "/request" in name), key=lambda name: name[-9:] + name
+        ):
+            number = int(name[-9:-5])
+            if (number - 1) % every == 0:
                 read = [
                     archive.extractfile(members[each]) for each in (name.replace("request", "scene"), name)
                 ]
                 scene, request = (yaml.safe_load(file.read()) for file in read if file is not None)
-                yield name.split("/")[-2], scene, request
+                yield name.split("/")[-2], number, scene, request
 
 
 def obstacles_of(scene: dict[str, Any]) -> dict[str, Obstacle]:
@@ -317,47 +344,69 @@ def _pose(told: dict[str, Any]) -> pin.SE3:
     return pin.SE3(rotation, np.array(told["position"], dtype=np.float64))
 
 
-def run(folder: Path, every: int, seed: int, until: float) -> dict[str, Scene]:
-    """Every so many-th problem of one robot, until a time of `time.monotonic`."""
+def solved(folder: Path, told: dict[str, Any], request: dict[str, Any], seed: int) -> Scene:
+    """The figures of one problem."""
     urdf, srdf = folder / f"{folder.name}.urdf", folder / f"{folder.name}.srdf"
-    scenes: dict[str, Scene] = defaultdict(Scene)
-    for name, told, request in problems(folder, every):
-        if time.monotonic() > until:
-            break
-        scene = scenes[name]
-        scene.problems += 1
-        start = dict(
-            zip(*(request["start_state"]["joint_state"][key] for key in ("name", "position")), strict=True)
-        )
-        goal = {
-            one["joint_name"]: one["position"] for one in request["goal_constraints"][0]["joint_constraints"]
-        }
-        obstacles = obstacles_of(told)
-        try:
-            gate = Gate.from_urdf(
-                urdf, CYCLE_S, obstacles, [start[joint] for joint in goal], srdf=srdf, stop_distance_m=STOP_M,
-                self_stop_distance_m=SELF_STOP_M, tolerance=1e-6,
-            )  # fmt: skip
-        except GateError as error:
-            scene.refused.append(str(error)[:160])
-            continue
-        robot = gate.cell.robots["arm"]
-        left_out = {frozenset(each.removeprefix("arm/") for each in pair) for pair in robot.never_checked}
-        oracle = MeshOracle(urdf, obstacles, left_out)
-        q, target = gate.q_cmd(), np.array([goal[joint] for joint in robot.joint_names])
-        if not oracle.clear(q):
-            scene.start_near += 1
-        elif not oracle.clear(target):
-            scene.goal_near += 1
-        else:
-            rng = np.random.default_rng(seed)
+    scene = Scene(problems=1)
+    start = dict(
+        zip(*(request["start_state"]["joint_state"][key] for key in ("name", "position")), strict=True)
+    )
+    goal = {one["joint_name"]: one["position"] for one in request["goal_constraints"][0]["joint_constraints"]}
+    obstacles = obstacles_of(told)
+    try:
+        gate = Gate.from_urdf(
+            urdf, CYCLE_S, obstacles, [start[joint] for joint in goal], srdf=srdf, stop_distance_m=STOP_M,
+            self_stop_distance_m=SELF_STOP_M, tolerance=1e-6,
+        )  # fmt: skip
+    except GateError as error:
+        scene.refused.append(str(error)[:160])
+        return scene
+    robot = gate.cell.robots["arm"]
+    oracle = MeshOracle(urdf, obstacles, unjudged(gate))
+    q, target = gate.q_cmd(), np.array([goal[joint] for joint in robot.joint_names])
+    if not oracle.clear(q):
+        scene.start_near += 1
+    elif not oracle.clear(target):
+        scene.goal_near += 1
+    else:
+        for number in range(PLANS):
+            rng = np.random.default_rng((seed, number))
             path = plan(q, target, robot.lower, robot.upper, oracle.clear, rng)
             if path is None:
-                scene.not_planned += 1
-            else:
-                stream(gate, oracle, timed(path, robot.max_velocity, robot.max_acceleration), scene)
-        print(name, json.dumps(scene.row()), flush=True)
-    return scenes
+                break
+            setpoints = timed(path, robot.max_velocity, robot.max_acceleration)
+            if all(map(oracle.clear, setpoints)):
+                stream(gate, oracle, setpoints, scene)
+                return scene
+        scene.not_planned += 1
+    return scene
+
+
+def run(folder: Path, every: int, seed: int, until: float, kept: Path) -> dict[str, Scene]:
+    """Every so many-th problem of one robot, until a time of `time.monotonic`.
+
+    Args:
+        folder: of the robot.
+        every: the first problem of each scene, then every so many-th.
+        seed: of the planner.
+        until: no problem is begun after it [s].
+        kept: file with a line for each problem; those that it has are not done again.
+    """
+    lines = kept.read_text(encoding="utf-8").splitlines() if kept.exists() else []
+    done = {(line["scene"], line["number"]): Scene.told(line["figures"]) for line in map(json.loads, lines)}
+    with kept.open("a", encoding="utf-8") as file:
+        for name, number, told, request in problems(folder, every):
+            if time.monotonic() > until:
+                break
+            if (name, number) not in done:
+                scene = done[name, number] = solved(folder, told, request, seed)
+                print(name, number, json.dumps(scene.row()), flush=True)
+                file.write(json.dumps({"scene": name, "number": number, "figures": vars(scene)}) + "\n")
+                file.flush()
+    return {
+        name: sum((scene for (each, _), scene in done.items() if each == name), Scene())
+        for name in sorted({name for name, _ in done})
+    }
 
 
 def main() -> None:
@@ -368,16 +417,15 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=25)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--limit-s", type=float, default=1e9)
-    parser.add_argument("--output", type=Path)
+    parser.add_argument("--output", type=Path, required=True, help="folder; a run goes on from what it has")
     options = parser.parse_args()
-    rows = {}
+    options.output.mkdir(parents=True, exist_ok=True)
     for robot in options.robot or ("ur5", "panda"):
-        until = time.monotonic() + options.limit_s
-        for name, scene in run(options.data / robot, options.every, options.seed, until).items():
-            rows[name] = scene.row()
-            if options.output is not None:
-                options.output.write_text(json.dumps(rows, indent=1), encoding="utf-8")
-    print(json.dumps(rows, indent=1))
+        until, kept = time.monotonic() + options.limit_s, options.output / f"{robot}.jsonl"
+        scenes = run(options.data / robot, options.every, options.seed, until, kept)
+        rows = {name: scene.row() for name, scene in scenes.items()}
+        (options.output / f"{robot}.json").write_text(json.dumps(rows, indent=1), encoding="utf-8")
+        print(json.dumps(rows, indent=1))
 
 
 if __name__ == "__main__":

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,13 +12,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import yaml
 from numpy.typing import ArrayLike
 
 from deltaq.obstacles import GateError, numbers, positive
+from deltaq_cell.convex_parts import convex_parts
 from deltaq_cell.description import RobotDescription
-from deltaq_cell.models import collision_names, load_urdf
-from deltaq_cell.urdf_parsing import UNLIMITED, parse_model
+from deltaq_cell.hull import Corners, HullError
+from deltaq_cell.models import RobotModelError, Urdf, collision_names, load_urdf
+from deltaq_cell.urdf_parsing import UNLIMITED, parse_geometry, parse_model
 
 RAMP_S = 0.4
 """Time to full speed where no file gives an acceleration: `acceleration = velocity / RAMP_S` [s]."""
@@ -95,6 +100,65 @@ def described(
         for what, (value, where) in vars(limit).items()
     }
     return description, sources
+
+
+def in_convex_parts(urdf: str | Path, locked: Mapping[str, float]) -> tuple[Urdf, dict[str, Corners]]:
+    """The URDF with a collision body for each convex part of a mesh, and the hulls of these bodies by name.
+
+    A mesh of one part keeps its name; those of several have `_part1` and so on after it.
+
+    Args:
+        urdf: file, name of a shipped model or `package://`.
+        locked: joints that do not move, and where they are [rad or m].
+
+    Raises:
+        RobotModelError: the URDF or a mesh cannot be read.
+    """
+    source = load_urdf(str(urdf))
+    names, tree = collision_names(source), source.tree()
+    parts: dict[str, list[Corners]] = {}
+    for body in parse_geometry(
+        source, pin.GeometryType.COLLISION, pin.SE3.Identity(), locked
+    ).geometryObjects:
+        link, index = body.name.rsplit("_", 1)  # pinocchio numbers the bodies of a link
+        mesh, name = body.geometry, names[link][int(index)]
+        if hasattr(mesh, "buildConvexHull"):
+            faces = [
+                [int(mesh.tri_indices(face)[corner]) for corner in range(3)] for face in range(mesh.num_tris)
+            ]
+            try:
+                parts[name] = convex_parts(np.array(mesh.vertices())[faces])
+            except HullError as error:
+                text = f"{source.source}: link '{link}', body '{name}': {error}"
+                raise RobotModelError(text, ("model",)) from None
+    made: dict[str, list[Corners | None]] = {}
+    for element in tree.findall("link"):
+        link = element.get("name", "")
+        made[link] = []
+        for name, whole in zip(names[link], element.findall("collision"), strict=True):
+            found = parts.get(name, [None])
+            own = name.removeprefix(link).lstrip("_")
+            element.remove(whole)
+            for number, corners in enumerate(found, start=1):
+                part = copy.deepcopy(whole)
+                suffix = f"part{number}" if len(found) > 1 else ""
+                part.set("name", "_".join(filter(None, (own, suffix))))
+                element.append(part)
+                made[link].append(corners)
+    split = Urdf(ElementTree.tostring(tree, encoding="unicode"), source.source, source.folder)
+    named = collision_names(split)
+    hulls = {
+        name: corners
+        for link, bodies in made.items()
+        for name, corners in zip(named[link], bodies, strict=True)
+        if corners is not None
+    }
+    return split, hulls
+
+
+def whole_body(part: str) -> str:
+    """The name of the body of a URDF that a body of `in_convex_parts` is a part of."""
+    return re.sub(r"_part\d+$", "", part)
 
 
 def _limits(

@@ -23,7 +23,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from deltaq.foreign_robot import described
+from deltaq.foreign_robot import described, in_convex_parts
 from deltaq.obstacles import GateError, Mesh, Obstacle, numbers, positive
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.description import CellDescription, GateDescription
@@ -185,7 +185,7 @@ class Gate:
         )
         width = positive("tolerance", tolerance, 1.0, "give what the drives reach, such as 0.001")
         robot, sources = described(urdf, srdf, joint_limits, locked or {}, q, width)
-        model = RobotModel(robot, ARM)
+        model = RobotModel(robot, ARM, *in_convex_parts(urdf, locked or {}))
         _check_self(model, margins.self_stop_distance_m)
         description = CellDescription(cell="gate", cycle_s=cycle, robots={ARM: robot}, gate=margins)
         return cls(CellModel.of(description, {ARM: model}), obstacles, None, sources)

@@ -175,14 +175,15 @@ class Mesh(Obstacle):
         return {}
 
     def corners(self, name: str) -> tuple[Vector, ...]:
-        """Corners of its hull, at most 32 [m].
+        """Corners of its hull [m].
 
         Raises:
             GateError: the mesh cannot be read, or its hull has no volume or is too large.
         """
         import coal
 
-        from deltaq_cell.hull import HullError, hull_corners
+        from deltaq_cell.convex_parts import close_hull
+        from deltaq_cell.hull import HullError
 
         remedy = "give a mesh with a volume, and a scale that gives metres"
         try:
@@ -195,7 +196,7 @@ class Mesh(Obstacle):
                 points = np.array(self.mesh, dtype=np.float64).reshape(-1, 3) * self.scale
             if not np.isfinite(points).all() or np.abs(points).max(initial=0.0) > MOST_M:
                 raise GateError(f"{name}.mesh", "others", f"its points must be within {MOST_M:g} m", remedy)
-            return hull_corners(points)
+            return close_hull(points)
         except (HullError, RuntimeError, TypeError, ValueError) as error:
             raise GateError(f"{name}.mesh", error, "must be a readable mesh with a volume", remedy) from None
 

@@ -103,7 +103,7 @@ def test_points_that_span_no_volume_are_refused(points, message):
 @pytest.mark.parametrize(
     ("corners", "message"),
     [
-        (tuple(map(tuple, on_a_ball(33).tolist())), "33 corners, at most 32"),
+        (tuple(map(tuple, on_a_ball(257).tolist())), "257 corners, must have at most 256"),
         ((*WEDGE, (0.1, 0.1, 0.1)), "of 5 corners of a hull only 4 are on its outside"),
         ((*WEDGE, WEDGE[0]), "of 5 corners of a hull only 4"),
         (WEDGE[:3], "it takes four"),

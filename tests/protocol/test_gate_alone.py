@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from deltaq import Box, Capsule, Cylinder, Gate, GateError, Mesh, Sphere
+from deltaq.foreign_robot import in_convex_parts, whole_body
 from deltaq.obstacles import Obstacle
 from deltaq_cell.models import RobotModelError, load_urdf
 from deltaq_cell.never_checked import distances
@@ -273,34 +274,68 @@ def test_within_the_stop_distance_of_an_obstacle_the_arm_may_only_retreat(gate):
     assert distance_m(gate, "table") > 0.02
 
 
+CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) - 0.5
+CUBES_FACES = np.array([int(corner) for corner in "124143578586156162348387137175268284"]).reshape(-1, 3)
+
+
+def write_boxes(path, *boxes):
+    """A mesh of boxes, each with the lengths of its edges and its middle [m]."""
+    corners = np.concatenate([CUBE * size + at for size, at in boxes])
+    faces = np.concatenate([CUBES_FACES + 8 * number for number in range(len(boxes))])
+    lines = [f"v {x} {y} {z}\n" for x, y, z in corners] + [f"f {a} {b} {c}\n" for a, b, c in faces]
+    path.write_text("".join(lines), encoding="utf-8")
+
+
+BODY = "<collision{}><geometry>{}</geometry></collision>"
+MESH = '<mesh filename="bent.obj"/>'
+
+
+@pytest.mark.parametrize(
+    ("bodies", "names"),
+    [
+        (BODY.format("", MESH), ["lever"]),
+        (BODY.format("", MESH) + BODY.format("", '<sphere radius="0.1"/>'), ["lever_1", "lever_2"]),
+        (BODY.format(' name="a"', MESH) + BODY.format(' name="a"', MESH), ["lever_a", "lever_a_2"]),
+    ],
+)
+def test_a_bent_link_is_split_and_what_a_file_says_of_it_holds_for_all_parts(tmp_path, bodies, names):
+    write_boxes(tmp_path / "bent.obj", ((1, 0.2, 0.2), (0.5, 0, 0)), ((0.2, 0.2, 1), (0, 0, 0.5)))
+    urdf, srdf = tmp_path / "one.urdf", tmp_path / "one.srdf"
+    urdf.write_text(
+        ONE.replace(
+            '<collision><origin xyz="0.3 0 0"/><geometry><box size="0.5 0.1 0.1"/></geometry></collision>',
+            bodies,
+        ),
+        encoding="utf-8",
+    )
+    _, hulls = in_convex_parts(urdf, {})
+    assert len(hulls) > bodies.count("mesh")
+    srdf.write_text('<robot><disable_collisions link1="lever" link2="lever"/></robot>', encoding="utf-8")
+    gate = Gate.from_urdf(urdf, 0.004, {"ball": Sphere(0.05, at=(0.5, 0.5, 1.5))}, srdf=srdf)
+    parts = [body.name.removeprefix("arm/") for body in gate.cell.robots["arm"].geometry.geometryObjects]
+    assert list(dict.fromkeys(map(whole_body, parts))) == names
+    assert set(hulls) <= set(parts)
+    assert distance_m(gate, "ball") > 0.02
+
+
+def test_a_mesh_without_a_volume_is_refused_by_file_and_link(tmp_path):
+    write_boxes(tmp_path / "bent.obj", ((1, 0.2, 0), (0.5, 0, 0)))
+    urdf = tmp_path / "one.urdf"
+    urdf.write_text(ONE.replace('<box size="0.5 0.1 0.1"/>', MESH), encoding="utf-8")
+    with pytest.raises(RobotModelError, match=r"one\.urdf: link 'lever', body 'lever': .* lie in a plane"):
+        Gate.from_urdf(urdf, 0.004)
+
+
 def test_the_arm_keeps_clear_of_meshes_and_shapes(tmp_path):
     urdf = tmp_path / "one.urdf"
     urdf.write_text(ONE, encoding="utf-8")
     cube = tmp_path / "cube.obj"
-    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) - 0.5
-    faces = [
-        "1 2 4",
-        "1 4 3",
-        "5 7 8",
-        "5 8 6",
-        "1 5 6",
-        "1 6 2",
-        "3 4 8",
-        "3 8 7",
-        "1 3 7",
-        "1 7 5",
-        "2 6 8",
-        "2 8 4",
-    ]
-    cube.write_text(
-        "".join(f"v {x} {y} {z}\n" for x, y, z in corners) + "".join(f"f {face}\n" for face in faces),
-        encoding="utf-8",
-    )
+    write_boxes(cube, ((1, 1, 1), (0, 0, 0)))
     angles, prints = [], []
     for obstacle in (
         Box((1, 1, 1), at=(0.4, 0, 0)),
         Mesh(cube, at=(0.4, 0, 0)),
-        Mesh(corners * 1000, scale=0.001, at=(0.4, 0, 0)),
+        Mesh(CUBE * 1000, scale=0.001, at=(0.4, 0, 0)),
         Cylinder(0.5, 1.0, at=(0.4, 0, 0.1), rpy=(math.pi / 2, 0, 0)),
     ):
         gate = Gate.from_urdf(urdf, 0.004, {"body": obstacle})
