@@ -274,6 +274,39 @@ def test_every_state_brings_a_sign_of_life_when_nothing_waits() -> None:
     assert request == Request(robot="fr", cycle=100, lease_epoch=0)
 
 
+def in_step(**changes: Any) -> Bench:
+    """The increment that answers the state of cycle 100 was decided in that cycle; what of it is not so?"""
+    bench = Bench().ready()
+    bench.move(1)
+    if not changes.get("undecided"):
+        bench.core.on_gate_verdict(Verdict(robot="fr", cycle=100, seq=1, outcome=Outcome.ADMITTED))
+    return bench
+
+
+def test_an_increment_that_was_decided_and_taken_in_its_cycle_is_followed_by_no_sign_of_life() -> None:
+    bench = in_step()
+    assert sent(Request, bench.state(101, sequence=2)) == []
+    assert [r.seq for r in sent(Request, bench.move(2, cycle=101))] == [2]
+
+
+@pytest.mark.parametrize(
+    ("undecided", "cycle", "sequence"),
+    [(True, 101, 2), (False, 101, 1), (False, 102, 2), (False, 100, 2)],
+    ids=["no verdict yet", "not taken", "a state was lost", "the same state again"],
+)
+def test_any_other_increment_is_followed_by_a_sign_of_life(
+    undecided: bool, cycle: int, sequence: int
+) -> None:
+    bench = in_step(undecided=undecided)
+    assert [r.dq for r in sent(Request, bench.state(cycle, sequence=sequence))] == [None]
+
+
+def test_a_controller_that_falls_silent_is_followed_by_a_sign_of_life_in_the_next_cycle() -> None:
+    bench = in_step()
+    bench.state(101, sequence=2)
+    assert [r.dq for r in sent(Request, bench.state(102, sequence=2))] == [None]
+
+
 def test_an_increment_that_went_stale_while_it_waited_is_refused_and_the_gate_gets_a_sign_of_life() -> None:
     bench = Bench().ready()
     bench.move(1)

@@ -104,10 +104,12 @@ class Increments:
         return [ToSender(sender, Error(code=error.code, message=str(error), hint=hint, **answered))]
 
     def on_cycle(self, robot: str, link: RobotLink, time_s: float) -> list[Output]:
-        """A state has come: ask the gate for the increment whose turn it is, or send a heartbeat."""
+        """A state has come: ask the gate for the increment whose turn it is, or send a heartbeat if it needs one."""
         asked, outputs = self._whose_turn(link, time_s)
         if asked is not None:
             return [self._request(robot, link, asked), *outputs]
+        if link.is_in_step:
+            return outputs
         self._state.counters["signs_of_life"] += 1
         assert link.state is not None  # it has just come
         lease = self._state.leases.of(robot)

@@ -105,6 +105,8 @@ class RobotLink(Part):
         target: its target; None if it does not say.
         view: the requested view of its camera; None before the first request.
         state, received_s: newest state of the robot, and when it came [s].
+        is_in_step: whether the increment of the cycle before was decided in it, and the robot has taken it. Then no
+            increment waits in the gate for a word of the HLI, and this cycle's increment is that word.
     """
 
     def __init__(
@@ -128,6 +130,8 @@ class RobotLink(Part):
         self._asked_cycle: int | None = None
         self._answered_cycle = -1
         self._awaited: dict[int, Sender | None] = {}
+        self._undecided: int | None = None
+        self.is_in_step = False
         self._waiting: Asked | None = None
         self._admitted = admitted
         self.state: ServerState | None = None
@@ -212,7 +216,11 @@ class RobotLink(Part):
         )
 
     def take_state(self, state: ServerState, time_s: float) -> None:
-        """Take the state of a new cycle."""
+        """Take the state of a new cycle, or one that comes again while the robot's controller is silent."""
+        before = self.state
+        is_next = before is not None and before.cycle == state.cycle - 1 == self._asked_cycle
+        took_it = before is not None and self._undecided is None and state.sequence > before.sequence
+        self.is_in_step = is_next and took_it and self.playout is None
         self.state = state
         self.received_s = time_s
         self._answered_cycle = min(self._answered_cycle, state.cycle)  # another process counts from one
@@ -225,6 +233,8 @@ class RobotLink(Part):
         """Take a decision of the gate; returns whether its verdict is awaited, and by which client."""
         if self._admitted is not None and self.state is not None:
             self._admitted.decided(verdict, self.state)
+        if verdict.seq == self._undecided:
+            self._undecided = None
         if verdict.seq not in self._awaited:
             return False, None
         return True, self._awaited.pop(verdict.seq)
@@ -284,6 +294,7 @@ class RobotLink(Part):
         assert self.state is not None  # nothing is due before the first state
         self._asked_cycle, self._answered_cycle = self.state.cycle, asked.increment.cycle
         self._awaited[asked.increment.seq] = asked.sender
+        self._undecided = asked.increment.seq
         while len(self._awaited) > _MAX_AWAITED:
             self._awaited.pop(next(iter(self._awaited)))
         return asked
