@@ -123,7 +123,7 @@ ADMISSION = Topic(
 )  # fmt: skip
 SUPERVISION = Topic(
     "supervision", Realm.GUARDED, Kind.STREAM, _GUARDED + "{robot}/supervision", guarded.Supervision,
-    publishers=_SIM, readers=_ROBOT_SERVER, rate=_EVERY_CYCLE,
+    publishers=_SIM, readers=_ROBOT_SERVER, rate=_AT_MOST_EVERY_CYCLE,
 )  # fmt: skip
 GATE_VERDICT = Topic(
     "gate-verdict", Realm.GUARDED, Kind.STREAM, _GUARDED + "{robot}/verdict", messages.Verdict,

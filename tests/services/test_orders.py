@@ -1,12 +1,12 @@
 """Standing orders to one Robot Server: when a stop and a reset are given, refused and done."""
 
 import pytest
-from small_cell import server_state, small_cell
+from small_cell import admission_after, server_state, small_cell
 
-from deltaq_protocol.guarded import OrdersMemory, Plan
+from deltaq_protocol.guarded import Admission, OrdersMemory, Plan, Supervision
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.sim.orders import Orders
+from deltaq_services.sim.orders import Orders, Spared
 from deltaq_services.sim.tracker import Tracker
 from deltaq_services.sim.tube import DriveBounds
 
@@ -270,3 +270,47 @@ def test_orders_go_on_from_what_others_remember(rig):
     assert (memory.awaited_resets, memory.awaited_stops) == ((21,), (22,))
     heir.outputs["gripper"] = False
     assert orders.outputs == {"gripper": True}
+
+
+def sent_of(spared, cycles, admits=True, robot="fr", **orders):
+    """In which of these cycles the supervision is sent; each may end with an admission."""
+    told = []
+    for cycle in range(cycles):
+        if not spared.spares(Supervision(robot=robot, epoch=1, cycle=cycle, **orders)):
+            told.append(cycle)
+        if admits:
+            admission: Admission = admission_after(server_state(robot, cycle), [0.0] * 6, 1)
+            assert not spared.spares(admission)
+    return told
+
+
+def test_supervision_is_sent_in_every_cycle_without_an_admission_before_it():
+    assert sent_of(Spared(40), 5, admits=False) == [0, 1, 2, 3, 4]
+
+
+def test_while_admissions_go_out_repeated_orders_are_sent_in_every_fourth_cycle():
+    assert sent_of(Spared(40), 10) == [0, 4, 8]
+
+
+def test_a_stop_is_never_spared_and_neither_are_other_orders_than_before():
+    spared = Spared(40)
+    assert sent_of(spared, 3, stop=ReasonCode.OPERATOR_STOP) == [0, 1, 2]
+    for changed in ({"resets": 1}, {"outputs": {"gripper": True}}, {"cell": "other"}, {}):
+        assert sent_of(spared, 3, **changed) == [0]
+
+
+def test_a_map_of_outputs_that_is_written_to_later_is_compared_as_it_was():
+    spared, outputs = Spared(40), {"gripper": False}
+    assert sent_of(spared, 2, outputs=outputs) == [0]
+    outputs["gripper"] = True
+    assert sent_of(spared, 2, outputs=outputs) == [0]
+
+
+def test_an_admission_of_one_robot_spares_nothing_of_another():
+    spared = Spared(40)
+    sent_of(spared, 1)
+    assert sent_of(spared, 3, admits=False, robot="gr") == [0, 1, 2]
+
+
+def test_nothing_is_spared_where_a_robot_server_does_not_wait_that_long():
+    assert sent_of(Spared(3), 4) == [0, 1, 2, 3]

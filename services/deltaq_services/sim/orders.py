@@ -1,12 +1,15 @@
 """Standing orders of the gate to one Robot Server: stop, reset, digital outputs.
 
-Orders are levels that every supervision message repeats, so that a lost message costs one cycle.
+Orders are levels that supervision messages repeat, so that a lost message costs one cycle, and a few where nothing
+but digital outputs can have changed.
 """
 
 from __future__ import annotations
 
-from deltaq_protocol.guarded import OrdersMemory, ServerState
-from deltaq_protocol.messages import Phase
+from collections import Counter
+
+from deltaq_protocol.guarded import Admission, OrdersMemory, ServerState, Supervision
+from deltaq_protocol.messages import Message, Phase
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.phases import MAY_MOVE
 from deltaq_services.sim.tracker import Tracker
@@ -163,3 +166,40 @@ class Orders:
             return []
         done, self._awaited_resets = self._awaited_resets, []
         return done
+
+
+_MOST_SPARED = 3
+"""Supervision messages in a row that are not sent; fewer if a Robot Server holds soon without them."""
+
+
+class Spared:
+    """Finds the supervision messages that need not be sent: an admission since the last one shows that the gate lives.
+
+    Only repeated orders without a stop are spared. Pure, and no part of the gate: the gate's log has them all.
+
+    Args:
+        gate_timeout_cycles: a Robot Server that hears nothing for so long holds its robot.
+    """
+
+    def __init__(self, gate_timeout_cycles: int) -> None:
+        self._most = min(_MOST_SPARED, gate_timeout_cycles // 4)
+        self._sent: dict[str, tuple[object, ...]] = {}
+        self._spared: Counter[str] = Counter()
+        self._admitted: set[str] = set()
+
+    def spares(self, message: Message) -> bool:
+        """Whether a message of the gate need not be sent; to be asked of each, in order."""
+        if isinstance(message, Admission):
+            self._admitted.add(message.robot)
+        if not isinstance(message, Supervision):
+            return False
+        robot = message.robot
+        orders = message.epoch, message.stop, message.resets, dict(message.outputs), message.cell
+        is_repeated = message.stop is None and orders == self._sent.get(robot)
+        if is_repeated and robot in self._admitted and self._spared[robot] < self._most:
+            self._admitted.discard(robot)
+            self._spared[robot] += 1
+            return True
+        self._sent[robot], self._spared[robot] = orders, 0
+        self._admitted.discard(robot)
+        return False

@@ -8,6 +8,7 @@ long.
 from __future__ import annotations
 
 import logging
+import math
 import secrets
 import time
 from collections.abc import Sequence
@@ -31,6 +32,7 @@ from deltaq_services.guarded_realm import guarded_links, open_guarded_session
 from deltaq_services.rate_limit import Pace
 from deltaq_services.sim.core import Decider, Sim
 from deltaq_services.sim.gate import Decision
+from deltaq_services.sim.orders import Spared
 from deltaq_services.sim.tracker import Tracker
 
 
@@ -164,6 +166,7 @@ class Shell:
             zenoh.handlers.RingChannel(_RING),
             allowed_origin=zenoh.Locality.REMOTE,
         )
+        self._spared = Spared(math.ceil(description.gate.gate_timeout_s / description.cycle_s))
         self._log = GateLog(self._session, self._name, self.sim)
         audit = topics.AUDIT.key(self._name)
         self._audit = declare_publisher(self._session, audit, priority=topics.AUDIT.priority)
@@ -221,7 +224,8 @@ class Shell:
             _log.error("all robots are stopped: %s", self.sim.disbelieved)
         for output in taken:
             packed = pack(output.message)
-            self._publisher(output.topic, output.robot).put(packed)
+            if not self._spared.spares(output.message):
+                self._publisher(output.topic, output.robot).put(packed)
             outputs.append((output.topic.name, packed))
             if self._stamps is not None:
                 self._stamps.went(output.message)
