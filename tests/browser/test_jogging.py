@@ -2,10 +2,34 @@
 
 import math
 
+import numpy as np
+import pinocchio as pin
 import pytest
 from conftest import mine, status
 
+from deltaq_cell.cell_model import CellModel
+
 pytestmark = [pytest.mark.browser, pytest.mark.service, pytest.mark.timeout(300)]
+
+
+def test_the_browser_places_links_where_pinocchio_does(alone):
+    page = alone()
+    generator = np.random.default_rng(3)
+    for robot in CellModel.load("lab").robots.values():
+        data = robot.model.createData()
+        for q in generator.uniform(robot.lower, robot.upper, (20, robot.n)):
+            told = page.evaluate(
+                """([name, q]) => {
+                    const kinematics = deltaq.views.find((view) => view.name === name).kinematics;
+                    return kinematics.place(q).map((T) => Array.from(T));
+                }""",
+                [robot.name, q.tolist()],
+            )
+            pin.forwardKinematics(robot.model, data, q)
+            for index, columns in enumerate(told, start=1):
+                expected = data.oMi[index].homogeneous
+                np.testing.assert_allclose(np.reshape(columns, (4, 4)).T, expected, atol=1e-6)
+
 
 AXES = "deltaq.axes.map(({visible, matrix}) => visible && Array.from(matrix.elements))"
 
@@ -61,23 +85,26 @@ PRESS_TWICE = """name => {
 SENT = "kind => line.sent.filter(({type}) => type === kind)"
 
 
-@pytest.mark.parametrize(
-    ("mode", "button", "index", "size"),
-    [
-        ("joint", "A6 minus, press to step", 8, -math.radians(1)),
-        ("joint", "E2 plus, press to step", 1, 0.005),
-        ("coupled", "Z plus, press to step", 2, 0.005),
-        ("coupled", "turn X minus, press to step", 3, -math.radians(1)),
-    ],
-)
-def test_in_steps_one_press_moves_once_by_one_degree_or_five_millimetres(alone, mode, button, index, size):
+STEPS = [
+    ("joint", "A6 minus, press to step", 8, -math.radians(1)),
+    ("joint", "E2 plus, press to step", 1, 0.005),
+    ("coupled", "Z plus, press to step", 2, 0.005),
+    ("coupled", "turn X minus, press to step", 3, -math.radians(1)),
+]
+
+
+def test_in_steps_one_press_moves_once_by_one_degree_or_five_millimetres(alone):
     page = alone()
-    page.evaluate("status => line.show(status)", status(gr=mine(mode=mode)))
+    page.evaluate("status => line.show(status)", status(gr=mine(mode="joint")))
     page.locator("[data-steps=true]").click()
-    assert "one at a time" in page.evaluate(PRESS_TWICE, button)
-    (jog,) = page.evaluate(SENT, "jog")
-    moved = [rate * jog["cycles"] * page.evaluate("deltaq.scene.cycle_s") for rate in jog["wish"]]
-    assert moved == pytest.approx([size if k == index else 0.0 for k in range(len(moved))])
+    for mode, button, index, size in STEPS:
+        page.evaluate("status => line.show(status)", status(gr=mine(mode=mode)))
+        page.wait_for_function("performance.now() >= (deltaq.wish._stepsUntil ?? 0)")
+        page.evaluate("line.sent.length = 0")
+        assert "one at a time" in page.evaluate(PRESS_TWICE, button)
+        (jog,) = page.evaluate(SENT, "jog")
+        moved = [rate * jog["cycles"] * page.evaluate("deltaq.scene.cycle_s") for rate in jog["wish"]]
+        assert moved == pytest.approx([size if k == index else 0.0 for k in range(len(moved))])
 
 
 def test_joint_home_and_saved_positions_fill_the_request_without_motion(alone):

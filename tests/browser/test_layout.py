@@ -1,5 +1,7 @@
 """Where the page's motion controls are: in the same place in every state, reachable at every size."""
 
+from itertools import product
+
 import pytest
 from conftest import mine, status
 
@@ -19,6 +21,7 @@ PLACES = """pressed => Object.fromEntries([...document.querySelectorAll(pressed)
     .filter((button) => button.checkVisibility({visibilityProperty: true}))
     .map((button, k) => [`${k} ${button.ariaLabel ?? button.textContent}`, button.getBoundingClientRect()])
     .map(([name, {x, y, width, height}]) => [name, [x, y, width, height].map(Math.round).join(" ")]))"""
+DRIVEN = [("gr", "coupled"), ("gr", "joint"), ("gr", "pose"), ("fr", "decoupled"), ("fr", "follow")]
 SIZES = [(1920, 1080), (1440, 900), (1280, 720), (1000, 560), (640, 360)]
 
 
@@ -44,22 +47,16 @@ CLICK = """button => {
 SCROLL = "top => { for (const box of document.querySelectorAll('.left, .console')) box.scrollTop = top; }"
 
 
-@pytest.mark.parametrize(("width", "height"), SIZES)
-def test_messages_never_shift_the_motion_controls(alone, width, height):
-    page = alone(width, height)
+def test_messages_never_shift_the_motion_controls(alone):
+    page = alone()
 
     def places(doing, given=None):
         page.evaluate(doing, given)
         page.evaluate("deltaq.driven.dispatchEvent(new Event('change'))")
         return page.evaluate(PLACES, PRESSED)
 
-    for robot, mode in (
-        ("gr", "coupled"),
-        ("gr", "joint"),
-        ("gr", "pose"),
-        ("fr", "decoupled"),
-        ("fr", "follow"),
-    ):
+    for (width, height), (robot, mode) in product(SIZES, DRIVEN):
+        page.set_viewport_size({"width": width, "height": height})
         page.evaluate("name => deltaq.driven.choose(name)", robot)
         page.evaluate("line.answers = true")
         for scrolled in (0, 10_000):
@@ -79,17 +76,19 @@ def test_messages_never_shift_the_motion_controls(alone, width, height):
                 assert other.keys() == seen[0].keys()
 
 
-@pytest.mark.parametrize(("width", "height"), [*SIZES, (390, 844)])
-def test_at_every_window_size_jog_and_stop_are_within_reach(alone, width, height):
-    page = alone(width, height)
+def test_at_every_window_size_jog_and_stop_are_within_reach(alone):
+    page = alone()
     page.evaluate("status => line.show(status)", status(gr=mine(mode="coupled")))
     jog = page.get_by_role("button", name="Z minus, hold to move", exact=True)
-    jog.click()
-    assert page.evaluate("line.sent.some(({type, wish}) => type === 'jog' && wish[2] < 0)")
-    assert page.locator("[data-part=stop]").is_visible()
     wide = """[document.documentElement, ...document.querySelectorAll('.console, .left')]
         .map((box) => box.scrollWidth - box.clientWidth)"""
-    assert page.evaluate(wide) == [0, 0, 0]
+    for width, height in [*SIZES, (390, 844)]:
+        page.set_viewport_size({"width": width, "height": height})
+        page.evaluate("line.sent.length = 0")
+        jog.click()
+        assert page.evaluate("line.sent.some(({type, wish}) => type === 'jog' && wish[2] < 0)")
+        assert page.locator("[data-part=stop]").is_visible()
+        assert page.evaluate(wide) == [0, 0, 0]
 
 
 def test_follow_moves_the_robot_only_after_its_button_was_held(alone):

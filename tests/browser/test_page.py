@@ -1,7 +1,6 @@
 """The page in Chromium, before a running cell: what it shows, what it drives, and how it stops."""
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 pytestmark = [pytest.mark.browser, pytest.mark.live, pytest.mark.timeout(300)]
@@ -46,25 +45,6 @@ def hold_until_it_moves(page):
     page.wait_for_function(
         f"before => {Q}.some((value, k) => Math.abs(value - before[k]) > 0.02)", arg=before
     )
-
-
-def test_the_browser_places_links_where_pinocchio_does(opened, served_cell):
-    page = opened()
-    generator = np.random.default_rng(3)
-    for robot in served_cell.model.robots.values():
-        data = robot.model.createData()
-        for q in generator.uniform(robot.lower, robot.upper, (20, robot.n)):
-            told = page.evaluate(
-                """([name, q]) => {
-                    const kinematics = deltaq.views.find((view) => view.name === name).kinematics;
-                    return kinematics.place(q).map((T) => Array.from(T));
-                }""",
-                [robot.name, q.tolist()],
-            )
-            pin.forwardKinematics(robot.model, data, q)
-            for index, columns in enumerate(told, start=1):
-                expected = data.oMi[index].homogeneous
-                np.testing.assert_allclose(np.reshape(columns, (4, 4)).T, expected, atol=1e-6)
 
 
 # colours of the picture on the page, every tenth pixel, the page's own canvas and not what WebGL drew into
@@ -165,6 +145,7 @@ def test_stop_brings_a_driven_robot_to_rest_and_says_so(opened, way):
     page.wait_for_function(AT_REST)  # pictures come by themselves, and one may be on its way
 
 
+@pytest.mark.nightly
 def test_reloading_the_page_in_motion_keeps_name_and_control_and_stops_the_robot(opened, served_cell):
     page = opened()
     name = page.get_by_label("Your name")
@@ -183,6 +164,7 @@ def test_reloading_the_page_in_motion_keeps_name_and_control_and_stops_the_robot
     page.evaluate("clearInterval(pressing), deltaq.wish.releaseAll()")
 
 
+@pytest.mark.nightly
 def test_a_lost_connection_locks_the_page_and_reconnection_sends_nothing(opened):
     line = {"cut": False, "sent": []}
 

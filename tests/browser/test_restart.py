@@ -6,7 +6,7 @@ import pytest
 from test_failures import Line, comes_to_rest
 from test_page import AT_REST, hold_until_it_moves, take_control
 
-pytestmark = [pytest.mark.browser, pytest.mark.live, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.browser, pytest.mark.live, pytest.mark.nightly, pytest.mark.timeout(300)]
 
 
 def test_a_killed_console_leaves_the_robot_at_rest_and_the_page_reconnects(opened, served_cell, shared_stack):

@@ -46,7 +46,7 @@ def test_a_printed_program_runs_in_a_clone(page: str, step: pages.Step, port: in
         pytest.skip(why_not)
     done = subprocess.run(
         command, cwd=tmp_path, env={**os.environ, **octave.environment()}, capture_output=True, text=True,
-        timeout=60, check=False,
+        timeout=300, check=False,
     )  # fmt: skip
     assert done.returncode == 0, (page, step.line, done.stderr)
     assert done.stdout.strip()

@@ -15,26 +15,28 @@ import pytest
 from guarded_peer import GuardedPeer, guarded_peer
 from served import Server
 from small_cell import free_port, small_cell, told, tool_pose
-from told import told_state
+from told import told_state, told_status
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.advisor.process import AdvisorProcess
-from deltaq_controllers.answers import CatchUp, lease
-from deltaq_controllers.interface import View
+from deltaq_controllers.answers import CatchUp, lease, own_view, view_of
+from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.live import ControlStatistics, drive
 from deltaq_controllers.modes.advisor import tracker_of
+from deltaq_controllers.robot_clocks import RobotClocks
 from deltaq_protocol import connect
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell
 from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
-from deltaq_protocol.messages import Outcome, Verdict
+from deltaq_protocol.messages import Outcome, RobotState, ToolPose, Verdict
 from deltaq_services.hli.shell import Hli
 from deltaq_testing.impairment.relay import TrafficUnit
 from deltaq_testing.impairment.stream import StreamFaults
 from studies.live_faults.relay_process import RelayProcess
 
 STEP = 1e-4
+POSE = ToolPose(position=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
 
 
 @dataclass
@@ -144,6 +146,52 @@ async def test_while_verdicts_come_each_increment_is_added_to_the_one_before(run
     moved = np.diff(running.seen[5:])
     # on a busy machine a state may be missed, and what that cost is known only later
     assert np.median(moved) == pytest.approx(STEP)
+
+
+# What a controller sees of its own robot and of others.
+
+
+class Told(Cell):
+    """What a connection knows, without one."""
+
+    def __init__(self, *states: RobotState) -> None:
+        self.robots = dict.fromkeys(("fr", "gr"))  # type: ignore[assignment]  # only the names are looked at
+        self.known = {state.robot: state for state in states}
+
+    def state(self, robot: str) -> RobotState | None:
+        return self.known.get(robot)
+
+
+def state(robot: str, cycle: int, q_cmd: tuple[float, ...]) -> RobotState:
+    return RobotState(
+        robot=robot, cycle=cycle, ipoc=0, time_s=0.0, q=q_cmd, q_cmd=q_cmd, tool=POSE, phase="engaged"
+    )
+
+
+def test_an_increment_that_the_state_does_not_show_yet_is_taken_as_commanded() -> None:
+    seen = state("fr", 7, (1.0, 2.0))
+    verdict = Verdict(robot="fr", cycle=7, seq=1, outcome=Outcome.ADMITTED, dq=(0.1, 0.2))
+    under_way = own_view(seen, verdict)
+    assert under_way.q_cmd.tolist() == [1.1, 2.2]
+    assert under_way.cycle == 8
+    for known in (None, verdict.model_copy(update={"cycle": 6}), verdict.model_copy(update={"dq": ()})):
+        plain = own_view(seen, known)
+        assert plain.q_cmd.tolist() == [1.0, 2.0]
+        assert plain.cycle == 7
+
+
+def test_robots_whose_state_or_clock_is_not_known_are_left_out_and_others_are_stamped_on_the_own_clock() -> (
+    None
+):
+    fr, gr = state("fr", 7, (1.0,)), state("gr", 3, (2.0,))
+    own, clocks = RobotView.from_state(fr), RobotClocks(("fr", "gr"), 0.012)
+    assert view_of(Told(fr), "fr", own, clocks).others == {}
+    clocks.take(0.0, told_status(fr=(7, 0.0)), 0.0, {"fr": fr})
+    assert view_of(Told(fr, gr), "fr", own, clocks).others == {}, "nobody knows how old it is"
+    behind = gr.model_copy(update={"time_s": -5.0})
+    clocks.take(0.0, told_status(gr=(3, 0.0)), 0.0, {"gr": behind})
+    seen = view_of(Told(fr, behind), "fr", own, clocks).others["gr"]
+    assert (seen.cycle, seen.time_s) == (3, 0.0)
 
 
 # Controllers ask for a playout buffer where the way there and back is longer than a cycle, and only there.

@@ -11,26 +11,20 @@ import sys
 import numpy as np
 import pytest
 from shared_cell import SharedStack
-from told import told_status
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_controllers.answers import own_view, view_of
 from deltaq_controllers.camera.scene import Scene
-from deltaq_controllers.interface import RobotView
-from deltaq_controllers.robot_clocks import RobotClocks
 from deltaq_experiments.scene import VIEW_DISTANCE_M
 from deltaq_protocol.blocking import connect
-from deltaq_protocol.client import Cell
 from deltaq_protocol.codec import InvalidMessageError
 from deltaq_protocol.errors import RefusedError
-from deltaq_protocol.messages import Outcome, RobotState, Sight, ToolPose, Verdict, ViewTarget
+from deltaq_protocol.messages import Sight, ViewTarget
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_testing.private_cell import free_ports
 
-pytestmark = pytest.mark.live
+pytestmark = [pytest.mark.live, pytest.mark.nightly]
 
 FOLLOWER, LEADER = "deltaq_controllers.camera_follower", "deltaq_controllers.leader"
-POSE = ToolPose(position=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
 
 
 def start(module: str, *arguments: str) -> subprocess.Popen[str]:
@@ -54,7 +48,6 @@ def url(shared_stack: SharedStack) -> str:
     return shared_stack.renewed().cell.hli
 
 
-@pytest.mark.nightly
 def test_without_a_server_both_say_so_and_exit_with_3() -> None:
     nowhere = f"tcp/127.0.0.1:{free_ports(1)[0]}"
     for module in (FOLLOWER, LEADER):
@@ -69,9 +62,9 @@ def test_without_a_server_both_say_so_and_exit_with_3() -> None:
     ("module", "arguments", "message"),
     [
         (FOLLOWER, ("--robot", "gr", "--leader", "fr"), "'gr' has no camera"),
-        pytest.param(FOLLOWER, ("--robot", "xx"), "no robot 'xx'; it has fr, gr", marks=pytest.mark.nightly),
+        (FOLLOWER, ("--robot", "xx"), "no robot 'xx'; it has fr, gr"),
         (LEADER, ("--speed-m-s", "-1"), "speed_m_s"),
-        pytest.param(LEADER, ("--robot", "xx"), "no robot 'xx'; it has fr, gr", marks=pytest.mark.nightly),
+        (LEADER, ("--robot", "xx"), "no robot 'xx'; it has fr, gr"),
     ],
 )
 def test_an_impossible_use_of_the_cell_ends_with_2(
@@ -84,7 +77,6 @@ def test_an_impossible_use_of_the_cell_ends_with_2(
     assert summary["cycles"] == 0
 
 
-@pytest.mark.nightly
 def test_a_running_follower_takes_another_distance_and_another_target(url: str) -> None:
     follower = start(FOLLOWER, "--url", url, "--controller", "predictive")
     lab = CellModel.load("lab")
@@ -116,7 +108,6 @@ def test_a_running_follower_takes_another_distance_and_another_target(url: str) 
     assert summary["robot"] == "fr", "the cell's first with a camera"
 
 
-@pytest.mark.nightly
 def test_a_running_follower_turns_from_a_target_that_is_hidden_to_the_next_and_says_so(url: str) -> None:
     under_the_deck = ViewTarget(focus_m=(-0.55, -2.2, 0.3))
     with connect(url, client="operator") as cell:
@@ -179,7 +170,6 @@ def test_the_camera_follows_the_leader_over_real_processes_and_both_end_when_tol
     assert followed["distance_m"]["max"] < 1.0
 
 
-@pytest.mark.nightly
 def test_a_second_follower_is_refused_the_lease_and_exits_with_1(url: str) -> None:
     first = start(FOLLOWER, "--url", url)
     try:
@@ -193,7 +183,7 @@ def test_a_second_follower_is_refused_the_lease_and_exits_with_1(url: str) -> No
                 async for _ in cell.verdicts("fr"):
                     return
 
-        asyncio.run(asyncio.wait_for(until_leased(), 20))
+        asyncio.run(asyncio.wait_for(until_leased(), 300))
         status, _, err = finish(start(FOLLOWER, "--url", url, "--duration-s", "5"))
         assert status == 1
         assert "lease_taken" in err
@@ -201,46 +191,3 @@ def test_a_second_follower_is_refused_the_lease_and_exits_with_1(url: str) -> No
         assert finish(first)[0] == 0
     finally:
         first.kill()
-
-
-class Told(Cell):
-    """What a connection knows, without one."""
-
-    def __init__(self, *states: RobotState) -> None:
-        self.robots = dict.fromkeys(("fr", "gr"))  # type: ignore[assignment]  # only the names are looked at
-        self.known = {state.robot: state for state in states}
-
-    def state(self, robot: str) -> RobotState | None:
-        return self.known.get(robot)
-
-
-def state(robot: str, cycle: int, q_cmd: tuple[float, ...]) -> RobotState:
-    return RobotState(
-        robot=robot, cycle=cycle, ipoc=0, time_s=0.0, q=q_cmd, q_cmd=q_cmd, tool=POSE, phase="engaged"
-    )
-
-
-def test_an_increment_that_the_state_does_not_show_yet_is_taken_as_commanded() -> None:
-    seen = state("fr", 7, (1.0, 2.0))
-    verdict = Verdict(robot="fr", cycle=7, seq=1, outcome=Outcome.ADMITTED, dq=(0.1, 0.2))
-    under_way = own_view(seen, verdict)
-    assert under_way.q_cmd.tolist() == [1.1, 2.2]
-    assert under_way.cycle == 8
-    for known in (None, verdict.model_copy(update={"cycle": 6}), verdict.model_copy(update={"dq": ()})):
-        plain = own_view(seen, known)
-        assert plain.q_cmd.tolist() == [1.0, 2.0]
-        assert plain.cycle == 7
-
-
-def test_robots_whose_state_or_clock_is_not_known_are_left_out_and_others_are_stamped_on_the_own_clock() -> (
-    None
-):
-    fr, gr = state("fr", 7, (1.0,)), state("gr", 3, (2.0,))
-    own, clocks = RobotView.from_state(fr), RobotClocks(("fr", "gr"), 0.012)
-    assert view_of(Told(fr), "fr", own, clocks).others == {}
-    clocks.take(0.0, told_status(fr=(7, 0.0)), 0.0, {"fr": fr})
-    assert view_of(Told(fr, gr), "fr", own, clocks).others == {}, "nobody knows how old it is"
-    behind = gr.model_copy(update={"time_s": -5.0})
-    clocks.take(0.0, told_status(gr=(3, 0.0)), 0.0, {"gr": behind})
-    seen = view_of(Told(fr, behind), "fr", own, clocks).others["gr"]
-    assert (seen.cycle, seen.time_s) == (3, 0.0)

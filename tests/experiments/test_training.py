@@ -149,6 +149,7 @@ def test_the_gate_says_no_and_why() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.nightly
 def test_gymnasiums_vector_of_environments_has_verdicts_of_each() -> None:
     envs = SyncVectorEnv([lambda: CameraEnvironment(duration_s=0.05)] * 2)
     envs.reset(seed=7)

@@ -157,20 +157,6 @@ def test_a_clock_that_is_an_hour_off_makes_no_difference(driving_anna, bench, ho
     assert tower.send("jog", late_s=0.6, **jog).outcome is EXPIRED
 
 
-def test_commands_that_waited_in_a_stalled_connection_expire(driving_anna, bench):
-    """Twenty seconds of wishes come at once, the oldest first."""
-    bench.now_s += 20.0
-    late = [driving_anna.send("jog", late_s=20.0 - 0.1 * i, **JOG).outcome for i in range(100)]
-    assert set(late) == {EXPIRED}
-
-
-def test_a_stop_never_expires(bench):
-    desk = bench.browser()
-    desk.send("ping")
-    assert desk.send("stop", late_s=100.0).outcome is ASKED
-    assert len(bench.asked("stop")) == 1
-
-
 def test_a_stop_needs_no_more_than_its_type(bench):
     bench.browser().raw('{"type": "stop"}')
     assert len(bench.asked("stop")) == 1

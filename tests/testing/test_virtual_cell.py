@@ -114,18 +114,3 @@ def test_a_robot_without_a_krc_is_where_it_was_sent():
         assert cell.ask("dawm", dq).outcome is Outcome.ADMITTED
     cell.cycle()
     np.testing.assert_allclose(cell.arms["dawm"].q - before, 3 * dq)
-
-
-@pytest.mark.long
-def test_one_seed_is_one_run(lab):
-    def run(seed):
-        cell, wire = VirtualCell(lab, seed=seed), MessageWire(seed)
-        cell.plug(Link.SIM_SERVER, Process.SIM, wire, ["fr"])
-        wire.link.faults = LinkFaults(drop=0.3, jitter_s=0.03)
-        cell.krc_arms["fr"].to_pc.faults = LinkFaults(drop=0.1, jitter_s=0.01)
-        for _ in range(80):
-            cell.cycle()
-        return [cell.arms[name].server.snapshot().state for name in cell.arms], cell.sim.snapshot()
-
-    assert run(3) == run(3)
-    assert run(3) != run(4)

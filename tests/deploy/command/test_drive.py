@@ -149,6 +149,7 @@ def test_a_stop_ends_the_drive_and_a_held_robot_is_not_driven(cell: Path, tmp_pa
     wait_for_phase(cell, "ready")
 
 
+@pytest.mark.nightly
 def test_a_lost_lease_ends_the_drive_and_shows_in_its_json(cell: Path, tmp_path: Path) -> None:
     script = written(tmp_path, "- {duration_s: 60, move: {a1_deg_s: -4}}\n")
     command = [PROGRAM, "drive", "--robot", "gr", "--script", script, "--json", "--cell", str(cell)]
@@ -235,16 +236,8 @@ def test_a_driven_robot_leads_another_while_it_is_coupled(cell: Path, tmp_path: 
     assert 0.5 < led_way < 0.6 * way
 
 
-@pytest.mark.parametrize(
-    "number",
-    [
-        signal.SIGTERM,
-        *(
-            pytest.param(number, marks=pytest.mark.nightly)
-            for number in (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT)
-        ),
-    ],
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGQUIT])
 def test_a_signal_ends_a_drive_and_restores_the_terminal(cell: Path, number: int) -> None:
     terminal = Terminal(cell)
     terminal.hold(cell)
