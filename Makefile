@@ -15,6 +15,8 @@ INSTALLED := $(VENV)/.installed-dev,docs
 QUIETLY := --quiet --disable-pip-version-check
 WANTED = -c constraints.txt --no-build-isolation -e '.[$*]'
 COMPILED := compiled-gate compiled-camera compiled-modes
+# and what tests need of arms that are not shipped
+TESTED := $(COMPILED) compiled-arms
 DEMO_S ?= 60
 # how many mutants are judged at a time, and of which modules; of all if none is given
 JOBS ?= 1
@@ -27,7 +29,7 @@ BASE ?= python:3.11-slim-bookworm
 # Python compiles a module once and keeps that, also where the environment forbids it: tests start hundreds of processes
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help install $(COMPILED) demo test test-live test-services test-rest quick lint nightly mutation container-test wheels image docs site site-version figures constraints clean
+.PHONY: help install $(TESTED) demo test test-live test-services test-rest quick lint nightly mutation container-test wheels image docs site site-version figures constraints clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -63,27 +65,30 @@ compiled-camera: $(INSTALLED)
 compiled-modes: $(INSTALLED)
 	@$(BIN)/python -m deltaq_controllers.modes
 
+compiled-arms: $(INSTALLED)
+	@$(BIN)/python tests/support/published_arms.py
+
 demo: $(USERS) ## start the emulated lab cell and let the camera follow, for DEMO_S seconds
 	$(BIN)/deltaq demo --duration-s $(DEMO_S)
 
 test: $(INSTALLED) ## lint, types, rooms, tests
-	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target compiled-gate compiled-modes lint compiled-camera
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target compiled-gate compiled-modes lint compiled-camera compiled-arms
 	@echo "single services, and beside them all that starts none; each is shown as it ends"
-	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target COMPILED= test-services test-rest
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target TESTED= test-services test-rest
 	@echo "whole cells, one at a time and nothing beside them: their services come before everything else"
-	@$(MAKE) --no-print-directory COMPILED= test-live
+	@$(MAKE) --no-print-directory TESTED= test-live
 
-test-live: $(INSTALLED) $(COMPILED)
+test-live: $(INSTALLED) $(TESTED)
 	$(BIN)/pytest -m live
 
-test-services: $(INSTALLED) $(COMPILED)
+test-services: $(INSTALLED) $(TESTED)
 	$(BIN)/pytest -m service
 
 # one worker more than two cores have: some of these tests wait
-test-rest: $(INSTALLED) $(COMPILED)
+test-rest: $(INSTALLED) $(TESTED)
 	nice -n 10 $(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder -m 'not live and not service'
 
-quick: $(INSTALLED) $(COMPILED) lint ## lint, types, rooms, and the tests that take little time
+quick: $(INSTALLED) $(TESTED) lint ## lint, types, rooms, and the tests that take little time
 	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder -m 'not live and not service and not long' \
 		--durations=5 --durations-min=2
 

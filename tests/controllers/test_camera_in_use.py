@@ -151,15 +151,6 @@ GR, AIDE = ViewTarget(leader="gr"), ViewTarget(leader="aide", aim_offset_m=BEFOR
 BOTH = ViewWish(distance_m=1.25, targets=(GR, AIDE))
 
 
-@pytest.mark.parametrize("name", ["paper", "qp"])
-def test_of_two_targets_the_more_important_one_is_watched_while_it_is_seen(name: str) -> None:
-    loop = Loop(name).run(3.0, BOTH)
-    assert loop.camera.target == GR
-    assert loop.camera.sight is Sight.FRESH
-    assert loop.looks_at(loop.tool("gr"))[0] < 0.5
-    assert loop.violations == 0
-
-
 @pytest.mark.by_day(1)
 @pytest.mark.parametrize("name", ["paper", "qp"])
 def test_a_target_that_is_hidden_is_left_for_the_next_and_returned_to_without_a_jump(name: str) -> None:

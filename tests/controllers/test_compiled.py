@@ -34,43 +34,6 @@ for _ in range(6):
 """
 
 
-CYCLES = """
-import sys
-import numpy as np
-from numba.core.dispatcher import Dispatcher
-from deltaq_cell.cell_model import CellModel
-from deltaq_controllers.camera.controllers import camera_controller_named
-from deltaq_controllers.camera.scene import Scene
-from deltaq_controllers.interface import RobotView, View
-
-def kinds():
-    modules = [module for name, module in sys.modules.items() if name.startswith("deltaq_controllers")]
-    values = [value for module in modules for value in vars(module).values()]
-    compiled = {id(value): value for value in values if isinstance(value, Dispatcher)}
-    return sum(len(function.signatures) for function in compiled.values())
-
-def told(values):
-    array = np.array(values)
-    array.flags.writeable = False
-    return array
-
-cell = CellModel.load("lab")
-robot, leader = cell.robots["fr"], cell.robots["gr"]
-focus = leader.forward(leader.home)[:3, 3]
-for name in ("paper", "predictive", "qp"):
-    for fixed in (None, focus):
-        controller = camera_controller_named(name, Scene(cell, "fr", "gr"), 1, fixed)
-        before = kinds()
-        q = np.array(robot.home)
-        for cycle in range(80):
-            own = RobotView(cycle, 0.012 * cycle, told(q), told(q))
-            other = RobotView(cycle, 0.012 * cycle, told(leader.home), told(leader.home))
-            q = q + controller.increment(View(own, {"gr": other}))
-            controller.errors(own.q, other.q)
-        print(name, kinds() - before)
-"""
-
-
 def run(program: str, **environment: str) -> str:
     return subprocess.run(
         [sys.executable, "-c", program],
@@ -91,13 +54,6 @@ def test_the_machine_code_of_a_law_gives_what_its_python_does() -> None:
     compiled, python = increments(run(LAW)), increments(run(LAW, NUMBA_DISABLE_JIT="1"))
     assert np.abs(compiled).max() > 1e-4
     np.testing.assert_allclose(compiled, python, rtol=1e-9, atol=1e-13)
-
-
-@pytest.mark.long
-def test_no_cycle_waits_for_the_compiler_with_any_kind_of_arrays() -> None:
-    told = run(CYCLES).split()
-    assert told[::2] == ["paper"] * 2 + ["predictive"] * 2 + ["qp"] * 2
-    assert set(told[1::2]) == {"0"}
 
 
 ONE = "\n@compiled\ndef one() -> float: return 1.0\n"
@@ -129,15 +85,6 @@ def test_where_the_code_cannot_be_written_to_what_was_installed_is_copied_to_the
     kept = Path(folder_of(package, cache))
     assert kept == cache / "deltaq" / installed.name
     assert (kept / "law.nbi").read_text() == "machine code"
-
-
-def test_the_arguments_of_a_function_are_part_of_its_code(tmp_path: Path) -> None:
-    package = tmp_path / "package"
-    package.mkdir()
-    (package / "law.py").write_text(ONE)
-    first = folder_of(package, tmp_path)
-    (package / "arrays.py").write_text("class Placed(NamedTuple):\n    q: int\n")
-    assert folder_of(package, tmp_path) != first
 
 
 @pytest.mark.parametrize("decorator", ["compiled", "inlined", "makes_no_array"])
@@ -272,8 +219,3 @@ def needs_scipy(function: ast.AST) -> list[int]:
 @pytest.mark.parametrize("function", list(compiled_functions()))
 def test_a_compiled_function_uses_no_linear_algebra_of_numba(function: ast.FunctionDef) -> None:
     assert needs_scipy(function) == []
-
-
-@pytest.mark.parametrize("line", ["a @ b", "np.dot(a, b)", "a.dot(b)", "np.linalg.norm(a)"])
-def test_linear_algebra_is_seen(line: str) -> None:
-    assert needs_scipy(ast.parse(f"def f(a, b):\n    return {line}")) == [2]

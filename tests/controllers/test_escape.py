@@ -44,6 +44,8 @@ FR, GR = LAB.robots["fr"], LAB.robots["gr"]
 FOCUS = np.array(GR.forward(GR.home)[:3, 3])
 GAINS = EscapeGains()
 CYCLE_S = 0.012
+# arrays that may be written to, as everywhere else: for others all of the escape would be compiled once more
+STAY = Courses(np.array([FR.home]), np.array([GAINS.steps]), np.array([FR.home]))
 
 
 @pytest.fixture(scope="module")
@@ -161,16 +163,15 @@ def test_the_best_of_some_courses_costs_what_it_costs_alone_and_less_than_the_ot
 
 def past_the_lens(speed: float) -> Attacker:
     """A ball on the lens that goes away along the view axis, after nothing."""
-    lens = FR.camera_pose(FR.home)[:3, 3]
+    lens = np.array(FR.camera_pose(FR.home)[:3, 3])
     away = speed * (FOCUS - lens) / np.linalg.norm(FOCUS - lens)
     return Attacker(lens[None], np.array([0.3]), lens, away, speed, NOTHING)
 
 
 def test_the_cost_of_a_contact_persists_for_the_rest_of_a_course(arm: EscapingArm) -> None:
-    stay = Courses(FR.home[None], np.array([GAINS.steps]), FR.home[None])
     none = GAINS._replace(contact=0.0)
     costs = [
-        course_cost(arm, past_the_lens(2.0), gains, start(), stay, 0, Simulation.of(arm, gains), math.inf)
+        course_cost(arm, past_the_lens(2.0), gains, start(), STAY, 0, Simulation.of(arm, gains), math.inf)
         for gains in (GAINS, none)
     ]
     assert costs[0] == pytest.approx(costs[1] + GAINS.contact * GAINS.steps)
@@ -178,13 +179,12 @@ def test_the_cost_of_a_contact_persists_for_the_rest_of_a_course(arm: EscapingAr
 
 def test_it_costs_at_the_end_if_the_attacker_is_near_what_cannot_get_out_of_the_way(arm: EscapingArm) -> None:
     assert sorted(arm.boxed.anatomy.carrier[arm.boxed.inner]) == [-1, 0], "the base and the first link"
-    stay = Courses(FR.home[None], np.array([GAINS.steps]), FR.home[None])
     shoulder, extra = FR.joint_origins(FR.home)[1], []
     for metres in (0.6, 3.0):
-        above = (shoulder + np.array([0.0, 0.0, metres]))[None]
-        attacker = Attacker(above, np.array([0.1]), above[0], np.zeros(3), 0.1, NOTHING)
+        above = shoulder + np.array([0.0, 0.0, metres])
+        attacker = Attacker(above[None], np.array([0.1]), above, np.zeros(3), 0.1, NOTHING)
         costs = [
-            course_cost(arm, attacker, gains, start(), stay, 0, Simulation.of(arm, gains), math.inf)
+            course_cost(arm, attacker, gains, start(), STAY, 0, Simulation.of(arm, gains), math.inf)
             for gains in (GAINS, GAINS._replace(inner=0.0))
         ]
         extra.append(costs[0] - costs[1])

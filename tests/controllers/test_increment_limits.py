@@ -37,14 +37,6 @@ def test_whatever_is_wanted_every_increment_is_within_limits_and_can_be_braked(
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_an_increment_within_limits_passes_unchanged(robot: RobotModel) -> None:
-    limits = IncrementLimits.of(robot, CYCLE_S)
-    dq = 0.5 * CYCLE_S**2 * robot.max_acceleration
-    q = 0.5 * (robot.lower + robot.upper)
-    np.testing.assert_array_equal(limits.admissible(dq, q, np.zeros(robot.n)), dq)
-
-
-@pytest.mark.parametrize("robot", ROBOTS)
 def test_an_obviously_admissible_increment_is_returned_unchanged(robot: RobotModel) -> None:
     random, limits = np.random.default_rng(5), IncrementLimits.of(robot, CYCLE_S)
     count = {True: 0, False: 0}

@@ -14,7 +14,7 @@ from deltaq_controllers.criteria.postures import Postures, RobotData
 from deltaq_controllers.criteria.table import Normalised
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.limits import IncrementLimits
-from deltaq_controllers.modes.hand_modes import CoupledMode, travel, travel_gradient, weighed
+from deltaq_controllers.modes.hand_modes import CoupledMode, travel, weighed
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.interface import Instant, Motion
 from deltaq_controllers.modes.teleoperator import MODES, Teleoperator
@@ -33,17 +33,6 @@ def test_each_hand_of_two_has_an_arm_of_six_joints_and_the_rest_is_base() -> Non
     assert not (hands.arms[0] & hands.arms[1]).any()
     base = np.array(model("dawm").joint_names)[~hands.arms.any(axis=0)]
     assert base.tolist() == ["torso", "left_yaw", "left_pitch", "right_yaw", "right_pitch"]
-
-
-def test_the_travel_criterion_has_the_gradient_it_says() -> None:
-    robot = model("gr")
-    q = robot.home
-    gradient = travel_gradient(q, robot.lower, robot.upper)
-    for joint in range(robot.n):
-        step = np.zeros(robot.n)
-        step[joint] = 1e-6
-        ahead, behind = (travel(q + s * step, robot.lower, robot.upper) for s in (1, -1))
-        assert gradient[joint] == pytest.approx((ahead - behind) / 2e-6, rel=1e-6, abs=1e-9)
 
 
 @pytest.mark.parametrize("mode", BY_HAND)
@@ -278,16 +267,6 @@ def test_the_hands_stay_within_a_tenth_of_a_millimetre_over_a_sweep(
         assert off_m < KEPT_M, joint
         assert off_rad < KEPT_RAD, joint
         assert run.violations == 0, joint
-
-
-def test_a_mode_that_is_wished_from_the_first_cycle_on_keeps_the_hands_where_they_are_then() -> None:
-    start = model("gr").home + 0.1
-    run = PlainDrive("gr", SELF_MOTION, start)
-    driven = run.drive(1.0, SELF_MOTION, a1=0.2).q_cmd
-    assert not run.teleoperator.is_at_rest
-    off_m, off_rad = run.driven.hand_errors(driven, start)
-    assert off_m < KEPT_M
-    assert off_rad < KEPT_RAD
 
 
 def swept(robot: str, joint: str, up_s: float, down_s: float) -> tuple[float, float, float]:

@@ -90,15 +90,6 @@ def test_joint_mode_leads_out_of_a_singularity_and_of_the_edge() -> None:
 
 
 @pytest.mark.long
-def test_an_edge_can_be_left_by_the_hand_as_well() -> None:
-    run = PlainDrive("gr", DECOUPLED)
-    run.drive(7.0, z=-0.2)
-    low = run.robot.forward(run.now)[2, 3]
-    run.drive(3.0, z=0.1)
-    assert run.robot.forward(run.now)[2, 3] > low + 0.1
-
-
-@pytest.mark.long
 @pytest.mark.nightly
 def test_a_hold_of_the_gate_is_named_and_joint_mode_leads_out() -> None:
     run = StackDrive("gr", COUPLED)

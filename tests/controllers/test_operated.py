@@ -154,14 +154,6 @@ def test_how_much_of_a_wish_goes_through_is_told_while_a_limit_binds_and_then_no
     assert goes_through() == 1.0, "nothing is wished for"
 
 
-def test_a_renewed_wish_goes_on(bench):
-    bench.cycles(2)
-    for _ in range(10):
-        bench.wishes(joints=JOG)
-        bench.cycles(15)
-    assert bench.q[5] - bench.robot.home[5] > 9 * 15 * 0.2 * CYCLE_S
-
-
 @pytest.mark.parametrize(
     "wish",
     [

@@ -95,14 +95,6 @@ def test_the_leader_is_kept_in_view(speed_m_s: float, angle_deg: float, distance
     assert settled[:, 1].max() <= distance_m
 
 
-@pytest.mark.long
-def test_a_point_before_the_fingers_is_kept_in_view_while_the_tool_moves() -> None:
-    controller = QpFollower(Scene(lab(), "fr", "gr", (0.0, 0.05, 0.1)), 1.25)
-    seen, violations = follow(controller, ScriptedLeader(lab().robots["gr"], CYCLE_S, 0.5, 0), 4.0)
-    assert violations == 0
-    assert seen[round(2.0 / CYCLE_S) :, 0].max() <= 0.5
-
-
 def test_from_exactly_behind_it_gets_round_within_limits() -> None:
     T = lab().robots["fr"].camera_pose(lab().robots["fr"].home)
     behind = T[:3, 3] - 1.25 * T[:3, 2]

@@ -36,19 +36,6 @@ def test_bounds_outweigh_every_task_and_every_barrier() -> None:
     assert slack == pytest.approx([0.049, 0.0], abs=1e-4)
 
 
-def test_a_barrier_outweighs_the_tasks() -> None:
-    row, wide = np.eye(N)[:1], np.full(N, 0.01)
-    solution = program().solve(
-        Tasks(row, np.array([-5e-3]), np.ones(1)),
-        -wide,
-        wide,
-        Barriers(np.eye(N)[:1], np.array([1e-3]), FIRST, FIRST),
-    )
-    assert solution is not None
-    assert solution[0][0] == pytest.approx(1e-3, abs=1e-5)
-    assert (solution[1] < 1e-5).all()
-
-
 def test_a_barrier_that_gives_way_does_not_loosen_one_of_another_kind() -> None:
     barriers, wide = np.array([np.eye(N)[0], -np.eye(N)[0]]), np.full(N, 0.01)
     kinds = np.array([0, 1], dtype=np.intp)

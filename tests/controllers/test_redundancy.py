@@ -55,15 +55,6 @@ def test_without_damping_the_task_is_met_exactly_and_sub_tasks_leave_it_alone(
     np.testing.assert_allclose(rates, law, atol=1e-12)
 
 
-def test_the_solution_without_sub_tasks_costs_least(random: np.random.Generator) -> None:
-    jacobian, task, inverse = random.normal(size=(2, 6)), random.normal(size=2), random.uniform(0.1, 1.0, 6)
-    rates = damped_rates(jacobian, inverse, task, np.zeros(6), 0.0)
-    null = np.linalg.svd(jacobian)[2][2:]
-    for direction in null:
-        other = rates + 0.1 * direction
-        assert other @ (other / inverse) > rates @ (rates / inverse)
-
-
 def test_a_task_that_the_joints_cannot_do_gives_finite_rates(random: np.random.Generator) -> None:
     jacobian = np.vstack([random.normal(size=6), np.zeros(6)])
     weights = WeightedGradient(LOWER, UPPER, DEGREES, 0.03)

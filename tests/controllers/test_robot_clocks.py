@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import math
 import random
 from types import SimpleNamespace
 from typing import Any
@@ -156,21 +155,6 @@ def test_a_clock_that_was_set_is_believed_the_second_time_and_a_late_stamp_never
     assert clock.offset_s == pytest.approx(4.999)
     clock.take(8.0, 108.0, 8.002)
     assert clock.offset_s == pytest.approx(99.999)
-
-
-@given(st.floats(-1e5, 1e5), WAY_S, WAY_S, st.floats(0.0, 2.0))
-def test_the_age_of_a_view_is_known_as_well_as_the_clock(
-    offset_s: float, there_s: float, back_s: float, age_s: float
-) -> None:
-    clock, now_s = PathClock(), 7.0
-    clock.take(1.0, 1.0 + there_s + offset_s, 1.0 + there_s + back_s)
-    assert abs(clock.age_s(now_s - age_s + offset_s, now_s) - age_s) <= clock.error_s(now_s) + 1e-9
-
-
-def test_before_the_first_exchange_nothing_is_known() -> None:
-    clock = PathClock()
-    assert (clock.known, clock.offset_s, clock.error_s(0.0)) == (False, 0.0, math.inf)
-    assert clock.summary(0.0) == {"offset_s": None, "error_s": None}
 
 
 def test_a_clock_that_was_set_in_between_is_refused_with_both_times() -> None:

@@ -116,24 +116,6 @@ def test_prediction_covers_the_age_of_the_view_and_the_delay_of_the_answer(lab: 
     assert other.age_s == pytest.approx(3 * CYCLE_S)
 
 
-def test_a_robot_whose_drives_are_quicker_is_seen_where_the_slower_camera_will_catch_it(
-    lab: CellModel,
-) -> None:
-    lag = lab.robots["gr"].description.servo_lag.model_copy(update={"dead_time_s": 0.0})
-    quick = lab.robots["gr"].description.model_copy(update={"servo_lag": lag})
-    lab.robots["gr"].description, before = quick, lab.robots["gr"].description
-    try:
-        other = foreseen(lab)
-    finally:
-        lab.robots["gr"].description = before
-    own = RobotView(0, 10.0, np.zeros(6), np.zeros(6))
-    for cycle in range(5):
-        other.update(own, moving(cycle, 10.0))
-    later_s = before.servo_lag.dead_time_s
-    assert later_s > 0.0
-    assert other.ahead() == pytest.approx(np.full(9, 0.1 * (5 * CYCLE_S + later_s)))
-
-
 def test_a_view_that_freezes_is_told_stale_then_lost_and_fresh_again(lab: CellModel) -> None:
     other, sights = foreseen(lab), {}
     assert other.sight is Sight.LOST

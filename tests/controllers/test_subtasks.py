@@ -77,15 +77,6 @@ def test_the_effect_of_the_last_joint_on_the_roll_is_its_derivative(
             assert effect == pytest.approx(-1.0 if turned else 1.0)
 
 
-def test_kukas_a6_turns_the_roll_as_15_is_printed() -> None:
-    kinematics = Kinematics(lab().robots["fr"], "camera")
-    kinematics.update(np.deg2rad([0.0, -90, 90, 0, 0, 20]))
-    turn = turn_to_level(kinematics.rotation, kinematics.angular[:, -1], 0.0, -6.0, 6.0)
-    # q6_dot = -k_c roll
-    assert turn == pytest.approx(-roll(kinematics.rotation))
-    assert abs(turn) == pytest.approx(math.radians(20.0))
-
-
 def test_a_camera_that_looks_straight_down_is_not_levelled() -> None:
     looking_down = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
     assert roll_effect(looking_down, np.array([0.0, 0.0, -1.0])) == 0.0

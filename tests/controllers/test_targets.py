@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deltaq_controllers.camera.in_use import HIDDEN_S, LONGEST_S, VISIBLE_S, TargetChoice, targets_of
+from deltaq_controllers.camera.in_use import HIDDEN_S, VISIBLE_S, TargetChoice, targets_of
 from deltaq_protocol.messages import ViewTarget, ViewWish
 
 STEP_S = 0.125
@@ -64,20 +62,6 @@ def test_nobody_is_returned_to_before_having_been_visible_for_a_while(
         assert all(seen[now] for seen in lately)
         if now > before:
             assert not all(seen[before] for seen in lately)
-
-
-@pytest.mark.nightly
-@given(st.lists(st.booleans(), min_size=400, max_size=800))
-def test_a_target_that_is_seen_now_and_then_is_returned_to_less_and_less_often(visible: list[bool]) -> None:
-    # for as long as it is hidden soon after each return, as where the camera that turns to it cannot see it
-    choice, returns, looked_for = TargetChoice(2), 0, 0
-    for step, chance in enumerate(visible):
-        looked_for = looked_for + 1 if choice.chosen == 0 else 0
-        before = choice.chosen
-        choice.saw(0, choice.chosen == 1 or (chance and looked_for < 20), step * STEP_S)
-        choice.saw(1, True, step * STEP_S)
-        returns += choice.chosen < before
-    assert returns <= 1 + math.log2(LONGEST_S) + len(visible) * STEP_S / LONGEST_S
 
 
 def test_a_target_that_stays_visible_after_a_return_is_returned_to_as_soon_as_at_first() -> None:

@@ -54,15 +54,6 @@ def declared(name):
     return metadata.get("License-Expression") or " ".join([*first_line, *classifiers])
 
 
-def test_the_licence_check_covers_every_dependency():
-    names = closure(*DISTRIBUTED)
-    assert {"eaik", "urchin", "scipy", "trimesh"} <= set(names)
-    assert {"numpy", "pin", "coal", "eclipse-zenoh", "daqp", "uvicorn", "numba", "llvmlite", "mcap"} <= set(
-        names
-    )
-    assert set(LOOKED_UP) <= set(names)
-
-
 @pytest.mark.parametrize("name", closure(*DISTRIBUTED))
 def test_every_licence_is_compatible(name):
     licence = declared(name)
@@ -71,10 +62,3 @@ def test_every_licence_is_compatible(name):
         return
     assert re.search(GOES_WITH_APACHE, licence), f"{name}: {licence or 'declares no licence'}"
     assert not re.search(BOUND, licence), f"{name}: {licence}"
-
-
-@pytest.mark.parametrize(
-    "licence", ["GPLv2+", "GNU General Public License v2 or later (GPLv2+)", "AGPL-3.0", "SSPL"]
-)
-def test_a_copyleft_licence_is_found(licence):
-    assert re.search(BOUND, licence) or not re.search(GOES_WITH_APACHE, licence)

@@ -11,12 +11,9 @@ from pathlib import Path
 from zipfile import ZipFile
 
 import pytest
-import yaml
 from installed import ROOT
-from packaging.specifiers import SpecifierSet
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-WORKFLOW = ROOT / ".github" / "workflows" / "test.yml"
 NEEDED = {
     "LICENSE",
     "Makefile",
@@ -83,46 +80,6 @@ def test_the_source_archive_contains_the_tree_and_no_build_products(unpacked: Pa
         ".git",
     }
     assert [file for file in files if made & set(Path(file).parts)] == []
-
-
-@pytest.mark.by_day(1)
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("schema", "file"),
-    [
-        ("github-workflows", WORKFLOW),
-        ("github-issue-config", ROOT / ".github" / "ISSUE_TEMPLATE" / "config.yml"),
-        ("github-issue-forms", ROOT / ".github" / "ISSUE_TEMPLATE" / "fault.yml"),
-        ("github-issue-forms", ROOT / ".github" / "ISSUE_TEMPLATE" / "wish.yml"),
-    ],
-    ids=lambda value: value.name if isinstance(value, Path) else "",
-)
-def test_a_file_for_the_host_follows_its_format(schema: str, file: Path) -> None:
-    command = [sys.executable, "-m", "check_jsonschema", "--builtin-schema", f"vendor.{schema}", str(file)]
-    checked = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert checked.returncode == 0, checked.stdout
-
-
-def test_continuous_integration_tests_the_promised_versions() -> None:
-    jobs = yaml.safe_load(WORKFLOW.read_text(encoding="utf-8"))["jobs"]
-    assert jobs["debian-12"]["container"] == "debian:12"
-    versions = ["3.11", *jobs["ubuntu-24-04"]["strategy"]["matrix"]["python"]]  # Debian 12's own is 3.11
-    promised = [name.rpartition(" ")[2] for name in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", name)]
-    assert versions == promised
-    assert all(version in SpecifierSet(PROJECT["requires-python"]) for version in versions)
-    last = {name: job["steps"][-1]["run"] for name, job in jobs.items()}
-    assert last.pop("containers") == "make container-test"
-    assert all(".ci/run" in command for command in last.values())
-
-
-def test_the_commit_hook_runs_the_checks_of_make_lint() -> None:
-    hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))["repos"]
-    assert [source["repo"] for source in hooks] == ["local"]
-    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    lint = re.search(r"^lint:.*\n((?:\t.*\n)+)", makefile, re.MULTILINE)
-    assert lint is not None
-    commands = [line.strip().replace("$(BIN)", ".venv/bin") for line in lint[1].splitlines()]
-    assert [hook["entry"] for hook in hooks[0]["hooks"]] == commands
 
 
 @pytest.mark.long

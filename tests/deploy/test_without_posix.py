@@ -66,17 +66,6 @@ def run_without(script: str, *words: str) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize("module", MODULES)
-def test_the_posix_modules_are_missing(module: str) -> None:
-    script = f"""
-try:
-    import {module}
-except ImportError:
-    print("missing")
-"""
-    assert run_without(script) == "missing\n"
-
-
 @pytest.mark.long
 def test_a_client_moves_a_robot() -> None:
     with Server() as server:

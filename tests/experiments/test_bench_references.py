@@ -137,7 +137,7 @@ def test_a_process_that_ended_before_it_was_measured_is_named_with_what_it_said(
     launcher = Launcher([Service(name="follower", role=Role.FOLLOWER, arguments=("-c", ends))], lines)
     with launcher:
         launcher.start()
-        assert launcher.children["follower"].exited.wait(60)
+        assert launcher.children["follower"].exited.wait(300)
         wait = partial(_wait, launcher, lines, time.monotonic(), lambda _: None)
         with pytest.raises(LaunchError, match=r"follower ended with exit status 3(.|\n)*no such cell"):
             _counted(launcher, wait, processor_seconds)

@@ -69,12 +69,6 @@ def test_listening_on_a_used_address_fails_with_the_reason_of_the_system() -> No
     first.close()
 
 
-def test_a_retrying_session_opens_without_a_peer() -> None:
-    started = time.monotonic()
-    open_session(connect=[endpoint()]).close()
-    assert time.monotonic() - started < 0.4
-
-
 def test_sessions_without_a_common_endpoint_never_connect() -> None:
     there = endpoint()
     one, other = open_session(listen=[endpoint()]), open_session(listen=[there])

@@ -215,7 +215,7 @@ class Relay:
                 query.reply(reply.ok.key_expr, reply.ok.payload.to_bytes())
 
     def repeat(self, key: str, payload: bytes, proof: bytes) -> Any:
-        (reply,) = self._hli.get(key, payload=payload, attachment=proof or None, timeout=60.0)
+        (reply,) = self._hli.get(key, payload=payload, attachment=proof or None, timeout=300.0)
         return reply
 
     def close(self) -> None:

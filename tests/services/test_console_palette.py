@@ -3,7 +3,7 @@
 import re
 
 import pytest
-from colour_vision import contrast, lab, nearest
+from colour_vision import contrast, nearest
 from installed import ROOT
 
 PAGE = ROOT / "services" / "deltaq_services" / "console" / "page"
@@ -26,15 +26,6 @@ def margins():
     colours = re.findall(r"#[0-9a-f]{6}", re.search(r"MARGINS = (.*);", text)[1])
     assert len(colours) == 3
     return dict(zip(("near", "middle", "far"), colours, strict=True))
-
-
-def test_the_simulation_is_the_published_one():
-    # the papers' well-known confusion: a red and a green that are far apart, and are not
-    assert nearest({"red": "#c05000", "green": "#608000"}, "usual")[0] > 40
-    assert nearest({"red": "#c05000", "green": "#807000"}, "deuteranopia")[0] < 20
-    for vision in TOLD_APART:
-        assert lab("#ffffff", vision) == pytest.approx([100, 0, 0], abs=0.5)
-        assert lab("#000000", vision) == pytest.approx([0, 0, 0], abs=1e-6)
 
 
 @pytest.mark.parametrize("vision", TOLD_APART)

@@ -273,7 +273,7 @@ def test_a_line_that_the_hli_fails_on_is_answered_and_the_connection_goes_on(mon
     monkeypatch.setitem(BY_MODEL, IoRequest, replace(BY_MODEL[IoRequest], answer=lambda *_: 1 / 0))
     with (
         Server() as server,
-        socket.create_connection(("127.0.0.1", server.description.tcp_port), timeout=60) as sock,
+        socket.create_connection(("127.0.0.1", server.description.tcp_port), timeout=300) as sock,
     ):
         ask = b'{"type":"io","robot":"fr","outputs":{}}\n'
         sock.sendall(

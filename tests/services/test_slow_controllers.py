@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import re
 import subprocess
 import sys
 import threading
@@ -20,18 +19,6 @@ from deltaq_services.hli.tcp_connection import TcpConnection
 from deltaq_testing.faults import mover
 
 ROOT = Path(__file__).parents[2]
-PRINTED = [
-    *ROOT.glob("*.md"),
-    *(ROOT / "docs").rglob("*.md"),
-    *(
-        file
-        for folder in ("protocol", "cell", "services", "emulator", "controllers", "deploy", "experiments")
-        for file in (ROOT / folder).rglob("*.py")
-    ),
-    *(ROOT / "examples").rglob("*.py"),
-    *(ROOT / "tests").rglob("*.py"),
-]
-
 # A controller decodes each line as it takes it up: that is where this one computes, and where it is watched.
 SLOWED = """
 import json, runpy, sys, time
@@ -130,31 +117,3 @@ def test_the_controller_of_the_faults_takes_up_every_line_though_it_computes_for
 def move_until_cut_off(port: int) -> None:
     with contextlib.suppress(OSError, ValueError):
         mover._move(port, "fr", 0.0)
-
-
-READS_AND_WRITES = re.compile(r"""makefile\(\s*(?:mode\s*=\s*)?["'](?=[^"']*(?:w|\+))(?=[^"']*(?:r|\+))""")
-
-
-@pytest.mark.parametrize(
-    ("code", "forbidden"),
-    [
-        ('sock.makefile("rw", buffering=1)', True),
-        ("sock.makefile('wr')", True),
-        ('sock.makefile(\n    mode="rwb")', True),
-        ('sock.makefile("rb")', False),
-        ('sock.makefile(encoding="utf-8")', False),
-        ('sock.makefile("w")', False),
-    ],
-)
-def test_the_search_finds_a_file_that_is_written_and_read(code: str, forbidden: bool) -> None:
-    assert bool(READS_AND_WRITES.search(code)) is forbidden
-
-
-def test_no_program_or_document_reads_and_writes_a_socket_through_one_file() -> None:
-    """Python drops what is decoded and not yet read at every write to such a file."""
-    found = [
-        str(file.relative_to(ROOT))
-        for file in PRINTED
-        if file != Path(__file__) and READS_AND_WRITES.search(file.read_text(encoding="utf-8"))
-    ]
-    assert found == []

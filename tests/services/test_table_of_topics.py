@@ -204,7 +204,7 @@ class _Listened:
             link.publish(None, 1011.0, lambda: "end")  # a marker: a heartbeat that is out of turn
             samples = [state]
             while b"end" not in samples[-1].payload.to_bytes():
-                samples.append(heard.get(timeout=60.0))
+                samples.append(heard.get(timeout=300.0))
         finally:
             listener.close()
             link.close()
@@ -292,13 +292,13 @@ def _overheard_of_another_client() -> tuple[set[str], set[bytes]]:
             speaker.put(topics.INCREMENT.key("lab", robot="gr"), b"")
         for topic in (topics.STATE, topics.VERDICT, topics.INCREMENT):
             speaker.put(topic.key("lab", robot="fr"), b"the lease, or a lie")
-        while served.get(timeout=60.0) != topics.INCREMENT.key("lab", robot="fr"):
+        while served.get(timeout=300.0) != topics.INCREMENT.key("lab", robot="fr"):
             pass
-        replies = speaker.get("deltaq/lab/stop", target=zenoh.QueryTarget.ALL, timeout=60.0)
+        replies = speaker.get("deltaq/lab/stop", target=zenoh.QueryTarget.ALL, timeout=300.0)
         answers = {reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None}
         server.put(topics.VERDICT.key("lab", robot="end"), b"")
         overheard = set()
-        while (key := heard.get(timeout=60.0)) != topics.VERDICT.key("lab", robot="end"):
+        while (key := heard.get(timeout=300.0)) != topics.VERDICT.key("lab", robot="end"):
             overheard.add(key)
         return overheard - {keys}, answers
     finally:

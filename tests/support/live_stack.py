@@ -184,7 +184,7 @@ def live_stack(
     with Launcher(services, lambda name, line: print(name, line, file=sys.stderr)) as launcher:
         launcher.start()
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as panel:
-            panel.settimeout(30)
+            panel.settimeout(300)
             stack = Stack(launcher, cell, record, panel)
             if moving:
                 stack.wait_until_moving()

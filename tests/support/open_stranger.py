@@ -48,7 +48,7 @@ class OpenStranger:
     def ask(self, topic: topics.Topic, message: Message, proof: bytes | None = None, robot: str = "") -> Any:
         """The one answer to a query."""
         key = topic.key(self._cell, robot=robot)
-        (reply,) = self.session.get(key, payload=pack(message), attachment=proof, timeout=60.0)
+        (reply,) = self.session.get(key, payload=pack(message), attachment=proof, timeout=300.0)
         return reply
 
     def wait(self) -> None:
@@ -59,7 +59,7 @@ class OpenStranger:
         """What came, payloads and attachments, up to one that has `until` in it."""
         heard: list[bytes] = []
         while not heard or until not in heard[-1]:
-            sample = self._queue.get(timeout=60.0)
+            sample = self._queue.get(timeout=300.0)
             beside = sample.attachment.to_bytes() if sample.attachment else b""
             heard.append(beside + sample.payload.to_bytes())
         return heard + self.asked

@@ -1,4 +1,8 @@
-"""The cell of two published arms, a UR10 and a Panda, as the how-to guide writes it."""
+"""The cell of two published arms, a UR10 and a Panda, as the how-to guide writes it.
+
+As a program it compiles the inverse kinematics of arms that nobody wrote one for, which tests beside one another would
+else compile at the same time.
+"""
 
 from __future__ import annotations
 
@@ -25,3 +29,16 @@ def cell() -> CellModel:
         file = Path(folder) / "arms.yaml"
         file.write_text(description(), encoding="utf-8")
         return CellModel.load(file)
+
+
+def main() -> None:
+    """Follow a path of the hands of each arm."""
+    from deltaq_controllers.inverse.tracking import ConstraintTracker
+
+    for robot in cell().robots.values():
+        tracker = ConstraintTracker(robot)
+        tracker.track(robot.home[None, tracker.base], tracker.hands(robot.home), robot.home)
+
+
+if __name__ == "__main__":
+    main()
