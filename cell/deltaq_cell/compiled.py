@@ -21,7 +21,7 @@ from numba.extending import register_jitable
 
 from deltaq_cell.machine_code import folder, package_of
 
-__all__ = ["compiled", "inlined", "makes_no_array", "told_of_compiling"]
+__all__ = ["compiled", "copied", "inlined", "makes_no_array", "told_of_compiling"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -55,6 +55,14 @@ def makes_no_array(function: Function) -> Function:
     locks the memory: as long again as all that the gate computes.
     """
     return _to_machine_code(function, counts_users=False)
+
+
+def copied(function: Function) -> Function:
+    """Decorate a function that makes no array, and that one compiled function has as a part of its own text.
+
+    For one that calls a large function: whatever is compiled by itself has all that it calls optimised once more.
+    """
+    return cast(Function, numba.njit(inline="always", error_model="numpy", _nrt=False)(function))
 
 
 def _to_machine_code(function: Function, counts_users: bool = True) -> Function:

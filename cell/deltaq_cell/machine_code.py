@@ -17,7 +17,7 @@ from pathlib import Path
 _HERE = Path(__file__).parent
 """The package of the gate's kernel, of which the machine code of other packages may hold functions."""
 
-_DECORATES = re.compile(rb"^@(compiled|inlined|makes_no_array)$", re.MULTILINE)
+_DECORATES = re.compile(rb"^@(compiled|copied|inlined|makes_no_array)$", re.MULTILINE)
 """What makes machine code of a function, see `deltaq_cell.compiled`."""
 
 

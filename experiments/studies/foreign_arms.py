@@ -31,12 +31,13 @@ ARMS = {
     "Baxter, right arm": ("baxter_description/urdf/baxter.urdf", "right_"),
     "Z1": ("z1_description/urdf/z1.urdf", "joint"),
     "Kinova": ("kinova_description/robots/kinova.urdf", "j2s6s200_joint_"),
+    "iiwa": ("package://pybullet_data/kuka_iiwa/model.urdf", ""),
     "xArm": ("xarm_description/urdf/xarm7.urdf", "joint"),
     "TIAGo, arm": ("tiago_description/robots/tiago.urdf", "arm_"),
     "ANYmal, leg": ("anymal_b_simple_description/robots/anymal.urdf", "LF_"),
     "gantry of our own": ("kr16_gantry", ""),
 }
-"""File, and beginnings of the names of the joints that move; the others are locked."""
+"""File, and beginnings of the names of the joints that move; the others are locked. The iiwa comes with pybullet."""
 
 BODIES = 12
 HOLD = 60
@@ -154,7 +155,10 @@ def main() -> None:
         file, moving = ARMS[name]
         try:
             rows[name] = attack(
-                f"{ROBOTS}/{file}" if "/" in file else file, moving, options.decisions, options.seed
+                file if "//" in file or "/" not in file else f"{ROBOTS}/{file}",
+                moving,
+                options.decisions,
+                options.seed,
             )
         except (GateError, RobotModelError) as error:
             rows[name] = {"refused": str(error)[:300]}

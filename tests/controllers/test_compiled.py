@@ -87,7 +87,7 @@ def test_where_the_code_cannot_be_written_to_what_was_installed_is_copied_to_the
     assert (kept / "law.nbi").read_text() == "machine code"
 
 
-@pytest.mark.parametrize("decorator", ["compiled", "inlined", "makes_no_array"])
+@pytest.mark.parametrize("decorator", ["compiled", "copied", "inlined", "makes_no_array"])
 def test_every_function_that_may_be_part_of_another_is_part_of_its_code(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, decorator: str
 ) -> None:
@@ -190,7 +190,7 @@ def test_machine_code_goes_with_a_package_to_another_place(tmp_path: Path) -> No
 
 
 ROOT = Path(__file__).parents[2]
-DECORATORS = {"compiled", "inlined", "makes_no_array"}
+DECORATORS = {"compiled", "copied", "inlined", "makes_no_array"}
 LINEAR_ALGEBRA = {"dot", "vdot", "linalg"}
 
 

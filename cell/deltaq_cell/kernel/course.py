@@ -156,8 +156,12 @@ def course_points(past: Array, path: Array, dq: Array, brake_cycles: int, step: 
     before = len(past) + len(path)
     to_come = max(0, brake_cycles - step - 1) if moves else 0
     points = np.empty((before + to_come, joints))
-    points[: len(past)] = past
-    points[len(past) : before] = path
+    # by numbers: for whole rows numba compiles what says that their shapes differ, for three seconds
+    for joint in range(joints):
+        for k in range(len(past)):
+            points[k, joint] = past[k, joint]
+        for k in range(len(path)):
+            points[len(past) + k, joint] = path[k, joint]
     travel = 0.0
     for k in range(to_come):
         travel += (brake_cycles - (step + 1 + k)) / brake_cycles

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from deltaq_cell.compiled import inlined, makes_no_array
+from deltaq_cell.compiled import copied, inlined, makes_no_array
 from deltaq_cell.kernel.arrays import Anatomy, Findings, Integers, Pairs, Placed
 from deltaq_cell.kernel.course import Course, lay_course
 from deltaq_cell.kernel.look import NONE, look, separate
@@ -349,7 +349,7 @@ def largest_share(
     return (least if failed == NONE else 0.0), budget
 
 
-@makes_no_array
+@copied
 def _largest_kept(
     cell: Anatomy,
     placed: Placed,
@@ -413,7 +413,7 @@ def _largest_kept(
     return share, budget
 
 
-@makes_no_array
+@copied
 def _keep(
     cell: Anatomy,
     placed: Placed,

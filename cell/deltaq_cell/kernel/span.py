@@ -85,33 +85,52 @@ def off_hull(points: Array, q: Array, width: Array) -> Array:
         q: (n,) measured.
         width: (n,) positive.
     """
+    # by numbers: for whole rows numba compiles what says that their shapes differ, for three seconds
     count, joints = points.shape
-    vertices, rest = (points - q) / width, np.empty(joints)
+    vertices, rest = np.empty((count, joints)), np.empty(joints)
     weight, along = np.zeros(count), np.empty(count)
     nearest = 0
-    for k in range(1, count):
-        if (vertices[k] ** 2).sum() < (vertices[nearest] ** 2).sum():
+    for k in range(count):
+        for joint in range(joints):
+            vertices[k, joint] = (points[k, joint] - q[joint]) / width[joint]
+        if _product(vertices, k, vertices[k]) < _product(vertices, nearest, vertices[nearest]):
             nearest = k
     weight[nearest] = 1.0
-    rest[:] = vertices[nearest]
+    for joint in range(joints):
+        rest[joint] = vertices[nearest, joint]
     for _ in range(_SEARCH_STEPS):
-        if np.abs(rest).max() <= 1.0:
+        most = total = square = 0.0
+        for joint in range(joints):
+            most, total = max(most, abs(rest[joint])), total + abs(rest[joint])
+            square += rest[joint] * rest[joint]
+        if most <= 1.0:
             break
         towards = away = -1
         for k in range(count):
-            along[k] = (vertices[k] * rest).sum()
+            along[k] = _product(vertices, k, rest)
             if towards < 0 or along[k] < along[towards]:
                 towards = k
             if weight[k] > 0.0 and (away < 0 or along[k] > along[away]):
                 away = k
-        if (rest * rest).sum() - along[towards] <= _NEAREST or along[towards] > np.abs(rest).sum():
+        if square - along[towards] <= _NEAREST or along[towards] > total:
             break
-        step = vertices[towards] - vertices[away]
-        share = min(max((along[away] - along[towards]) / (step * step).sum(), 0.0), weight[away])
+        step = _square(vertices, away, towards)
+        share = min(max((along[away] - along[towards]) / step, 0.0), weight[away])
         weight[away] -= share
         weight[towards] += share
-        rest += share * step
-    return -rest * width
+        for joint in range(joints):
+            rest[joint] += share * (vertices[towards, joint] - vertices[away, joint])
+    for joint in range(joints):
+        rest[joint] *= -width[joint]
+    return rest
+
+
+@inlined
+def _product(vertices: Array, k: int, vector: Array) -> float:
+    product = 0.0
+    for joint in range(len(vector)):
+        product += vertices[k, joint] * vector[joint]
+    return product
 
 
 @makes_no_array
