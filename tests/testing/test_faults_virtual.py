@@ -199,13 +199,6 @@ def test_a_delayed_reset_releases_no_robot(lab):
     assert stack.arms["fr"].state.phase == "held"
 
 
-@pytest.mark.long
-@pytest.mark.nightly
-def test_one_seed_is_one_run(lab):
-    fault = fault_named("krc-telegrams-lost")
-    assert run_fault(fault, lab, "fr", seed=5) == run_fault(fault, lab, "fr", seed=5)
-
-
 @pytest.mark.nightly
 @pytest.mark.parametrize(
     "fault", [fault for fault in CATALOGUE if fault.virtual], ids=lambda fault: fault.name
@@ -226,11 +219,6 @@ def test_the_table_in_the_documents_is_what_the_command_prints():
 
 def test_names_in_the_catalogue_are_unique():
     assert len({fault.name for fault in CATALOGUE}) == len(CATALOGUE)
-
-
-def test_a_fault_that_is_not_there_is_answered_with_those_that_are():
-    with pytest.raises(UnknownFaultError, match=r"no fault 'earthquake'; .*`deltaq fault list` shows all"):
-        fault_named("earthquake")
 
 
 def test_a_cell_without_krcs_is_refused_with_what_to_do():

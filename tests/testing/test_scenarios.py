@@ -174,16 +174,6 @@ def test_an_operator_brings_the_robot_back(folder):
     assert not Runner(folder).run(alone, "left alone").good
 
 
-@pytest.mark.long
-@pytest.mark.nightly
-def test_the_same_seed_gives_the_same_run(folder):
-    def events(seed):
-        return json.loads(invoke("run", lossy, "--json", "--seed", seed).stdout)["scenarios"][0]["checks"]
-
-    lossy = changed(folder, ("link_cut, at_s: 0.2, for_s: 0.1", "link_lossy, at_s: 0.1, for_s: 0.4"))
-    assert events(3) == events(3) != events(4)
-
-
 def test_a_scenario_is_written_as_it_was_read(folder):
     scenario = load_scenario(folder / "cut.yaml")
     assert parse_scenario(dumped(scenario), "again") == scenario

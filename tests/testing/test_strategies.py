@@ -3,7 +3,6 @@
 import pytest
 from hypothesis import find, given, settings
 
-from deltaq_testing.faults.catalogue import UnknownFaultError
 from deltaq_testing.schedule import ScheduleError, checked, fault
 from deltaq_testing.strategies import GRID_S, schedules
 
@@ -63,8 +62,3 @@ def test_two_faults_that_are_needed_together_are_both_kept():
 def test_bounds_that_leave_nothing_to_draw_are_refused(bounds, told):
     with pytest.raises(ScheduleError, match=told):
         schedules(**bounds)
-
-
-def test_a_fault_that_is_not_there_is_refused():
-    with pytest.raises(UnknownFaultError, match="no fault 'earthquake'"):
-        schedules(within_s=1.0, names=["earthquake"])
