@@ -220,7 +220,7 @@ class ModelCheck:
             fault = error.errors()[0]
             where, told = ".".join(map(str, fault["loc"])), fault["msg"].removeprefix("Input ")
             yield self._at(
-                ("robots",), f"clients cannot be told of a robot's {where}, {fault['input']!r}: it {told}"
+                ("robots",), f"no message can carry a robot's {where}, {fault['input']!r}: it {told}"
             )
 
 

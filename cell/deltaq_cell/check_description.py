@@ -82,13 +82,13 @@ class DescriptionCheck:
                     listeners.append((("robots", name, "driver", "control_port"), robot.driver.control_port))
         for field, port in listeners:
             if port in taken:
-                yield self._at(field, f"port {port} is that of {taken[port]} already; take another", port)
+                yield self._at(field, f"port {port} is that of {taken[port]} already; choose another", port)
             else:
                 taken[port] = ".".join(str(part) for part in field)
                 if port >= LEAST_GIVEN_PORT and field not in of_rsi:
                     told = (
-                        f"Linux may give port {port} to sockets that ask for none, so it may be in use at a start; "
-                        f"take one below {LEAST_GIVEN_PORT}"
+                        f"Linux may give port {port} to any socket, so it may be in use at a start; "
+                        f"choose one below {LEAST_GIVEN_PORT}"
                     )
                     yield self._at(field, told, port, LEAST_GIVEN_PORT - 1, severity="warning")
 

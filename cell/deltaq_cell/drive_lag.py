@@ -142,6 +142,7 @@ def lag_fault(axes: Sequence[str], settled_s: Sequence[float], presumed_s: float
         return ""
     presumed = f"the gate presumes {presumed_s * 1e3:.0f}"
     if math.isinf(lag_s):
-        return f"axis {axis} lags more than {LONGEST_S * 1e3:.0f} ms, {presumed}: no robot is driven that lags so long"
+        longest = f"axis {axis} lags more than {LONGEST_S * 1e3:.0f} ms, {presumed}"
+        return f"{longest}: a robot with so long a lag is not driven"
     least_s = least_servo_lag_s(lag_s, cycle_s)
     return f"axis {axis} lags {lag_s * 1e3:.0f} ms, {presumed}: set gate.servo_lag_s to at least {least_s:g}"

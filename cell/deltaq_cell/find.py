@@ -82,8 +82,7 @@ def resolve_near(cell_file: str | Path, name: str | Path) -> Path:
         if len(same) > 1:
             names = " and ".join(file.name for file in same)
             raise FileNotFoundError(
-                f"no file '{name}': {names} in {candidate.parent} are one name to a KRC; keep the one that it has "
-                "loaded"
+                f"no file '{name}': {names} in {candidate.parent} are the same name to a KRC; keep the loaded file"
             )
         if same:
             return same[0]
@@ -191,7 +190,7 @@ def _beside(name: str, folder: Path | None) -> Path:
     path = Path(name) if folder is None else folder / name
     if is_file(path) and (folder is not None or path.is_absolute()):
         return path
-    where = "it came without a folder to look in" if folder is None else f"looked for {path}"
+    where = "no folder to search is known" if folder is None else f"looked for {path}"
     raise FileNotFoundError(
         f"no file '{name}': {where}; a name without package:// is taken from the model's folder"
     )

@@ -75,8 +75,8 @@ def _beside(path: Path, config: EthernetConfig, station: Station) -> list[Findin
             Finding(
                 "warning",
                 "Precision",
-                "how many decimals the KRC sends is not known here, and one is what it sends unless told otherwise; "
-                "put the context that loads this file beside it, or see it with `deltaq krc sniff`",
+                "the number of decimals that the KRC sends is not known here, and its default is one; "
+                "put the context that loads this file beside it, or check with `deltaq krc sniff`",
                 bound=4,
                 source=path.name,
             )
@@ -90,7 +90,7 @@ def _twins(folder: Path, names: list[str]) -> list[Finding]:
     for name in names:
         same = [file.name for file in same_to_a_krc(folder, name)]
         if len(same) > 1:
-            message = f"{' and '.join(same)} are one name to a KRC; keep the one that it has loaded"
+            message = f"{' and '.join(same)} are the same name to a KRC; keep the loaded file"
             found[name.lower()] = Finding("error", "file", message, source=name)
     return list(found.values())
 

@@ -208,8 +208,8 @@ def _check_share(touching: Iterable[Pair], checkable: int) -> None:
         most = max(names, key=names.count)
         raise RobotModelError(
             f"{count} of {checkable} pairs of bodies touch wherever the joints are, and would never be checked; body "
-            f"'{most}' is in most of them: is it too large, or its mesh in other units? If they are as they should be, "
-            "name the pairs in never_checked",
+            f"'{most}' is in most of them: is it too large, or its mesh in other units? "
+            "If they are correct, name the pairs in never_checked",
             ("model",),
         )
 

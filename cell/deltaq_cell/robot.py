@@ -85,7 +85,9 @@ class RobotModel:
             self._carried.bolted_bodies(),
         )
         if not self.geometry.ngeoms:
-            text = f"{source.source}: no link has a collision body, so that nothing could be kept clear of the robot"
+            text = (
+                f"{source.source}: no link has a collision body, so the gate could not keep the robot clear"
+            )
             raise RobotModelError(text, ("model",))
         self.hulls: dict[str, Corners] = hulls_of(self.geometry, name)
         bodies = list(self.geometry.geometryObjects)

@@ -289,7 +289,7 @@ def check_rotations(model: Any, bodies: Iterable[Any], configurations: Sequence[
     sound &= np.isfinite(translations).all(axis=1)
     if not sound.all():
         name = placed[int(np.argmin(sound))][0]
-        raise RobotModelError(f"{source}: {name} is placed by something that is not a rotation", ("model",))
+        raise RobotModelError(f"{source}: {name} has a placement that is not a rotation", ("model",))
 
 
 def check_sizes(bodies: Sequence[Any], reach_m: float, source: str) -> None:

@@ -317,7 +317,7 @@ def collada_unit(path: Path) -> float:
 
     def data(text: str) -> None:
         if inside[-1] in ("p", "v", "h", "vcount") and not _INDICES.fullmatch(text):
-            raise ValueError(f"<{inside[-1]}> has what is no index")  # assimp would never end
+            raise ValueError(f"<{inside[-1]}> contains a value that is no index")  # assimp would never end
 
     parser = expat.ParserCreate()
     parser.StartElementHandler, parser.EndElementHandler = start, lambda _: inside.pop()

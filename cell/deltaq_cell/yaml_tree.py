@@ -325,7 +325,7 @@ class _Located:
     def _kind(self, node: yaml.Node, *allowed: str) -> str:
         kind = str(node.tag).removeprefix(_TAG)
         if kind not in allowed:
-            message = f"the tag {node.tag} means nothing here; leave it out"
+            message = f"the tag {node.tag} is not supported here; remove it"
             raise _error(self._file, _line(node), message, value=str(node.tag))
         return kind
 

@@ -276,7 +276,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--controller",
         default=FOLLOWS,
-        help=f"{', '.join(NAMES)}, or package.module:function of one's own (default: %(default)s)",
+        help=f"{', '.join(NAMES)}, or your own as package.module:function (default: %(default)s)",
     )
     parser.add_argument("--distance-m", type=float, default=1.25, help="view distance (default: %(default)s)")
     parser.add_argument(
@@ -296,7 +296,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="point of the leader's tool to look at, in the tool's frame (default: %(default)s)",
     )
     parser.add_argument(
-        "--start", type=float, nargs="+", help="joints to go to first, rad or m (default: where it stands)"
+        "--start", type=float, nargs="+", help="joints to go to first, rad or m (default: the present ones)"
     )
     parser.add_argument(
         "--view-delay-s",

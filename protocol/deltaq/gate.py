@@ -183,7 +183,7 @@ class Gate:
             servo_lag_s=positive("lag_s", cycle if lag_s is None else lag_s, 2.0, "give it in s"),
             servo_lag_spread_s=0.0,
         )
-        width = positive("tolerance", tolerance, 1.0, "give what the drives reach, such as 0.001")
+        width = positive("tolerance", tolerance, 1.0, "give the drives' accuracy, such as 0.001")
         robot, sources = described(urdf, srdf, joint_limits, locked or {}, q, width)
         model = RobotModel(robot, ARM, *in_convex_parts(urdf, locked or {}))
         _check_self(model, margins.self_stop_distance_m)

@@ -194,7 +194,7 @@ class Motion:
             return None
         if self._stood > self._patience_cycles:
             raise MotionError(
-                f"{self._robot} stands {1.0 - place:.0%} of its way before the target",
+                f"{self._robot} stopped with {1.0 - place:.0%} of its path left",
                 self._reason,
                 summary=self._summary,
             )

@@ -76,7 +76,9 @@ class Tool:
             keeps = self._kept_by(q)
             if keeps:
                 far = length * (segment - 1) / segments
-                raise InvalidMotionError(f"the tool of {robot} goes {far:.3f} m of {length:.3f} m: {keeps}")
+                raise InvalidMotionError(
+                    f"the tool of {robot} can move {far:.3f} m of {length:.3f} m: {keeps}"
+                )
             path.append(q)
         return np.stack(path)
 

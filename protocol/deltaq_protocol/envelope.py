@@ -83,7 +83,7 @@ class Envelopes:
             raise InvalidMessageError(text, ReasonCode.MALFORMED)
         sender, number, addressee = _PROCESSES.unpack_from(enclosed, _CHECKSUM.size)
         if sender in self._ended:
-            raise StaleMessageError(f"{key}: from a process of {speaker} that another has replaced")
+            raise StaleMessageError(f"{key}: from a process of {speaker} that was replaced")
         if key in self._addressees and addressee != self._process:
             raise MisaddressedError(f"{key}: sent to another process")
         before = self._present.get(speaker)

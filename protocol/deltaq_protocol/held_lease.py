@@ -74,7 +74,7 @@ class HeldLease:
 
     def end(self) -> None:
         """Stop using the lease, without telling the server; `release` does that."""
-        self._lost = RefusedError(ReasonCode.LEASE_NOT_HELD, f"the lease of {self._robot} was given back")
+        self._lost = RefusedError(ReasonCode.LEASE_NOT_HELD, f"the lease of {self._robot} was released")
 
     async def release(self) -> None:
         """Release the lease at the server.

@@ -138,7 +138,7 @@ _MEANINGS: dict[str, dict[str, str]] = {
         "admissions": "admissions that were taken",
         "{refusal}": "admissions that were not taken, by reason, e.g. `admission_late`",
         "admission_while_not_ready": "admissions that came in a phase in which the robot must not move",
-        "braked_cycles": "cycles of the brake, because no admission was taken",
+        "braked_cycles": "braked cycles, because no admission was taken",
         "braked_cycles_{cause}": (
             "the same by what caused them: `no_admission`, since none had come by then; one that was not "
             "taken, e.g. `admission_unchained`; or the reason for which the robot is held"
@@ -148,7 +148,7 @@ _MEANINGS: dict[str, dict[str, str]] = {
         "internal_errors": (
             "messages, cycles and telegrams that failed with an unexpected error; each holds the robot"
         ),
-        "krc_silent": "times that the KRC sent nothing for longer than it may",
+        "krc_silent": "times that the KRC was silent for longer than permitted",
         "modes_refused": "sessions of a KRC that does not take corrections as offsets",
         "motion_stops": (
             "times that the KRC was ordered to end a motion that went on although its setpoint rested"
@@ -168,7 +168,7 @@ _MEANINGS: dict[str, dict[str, str]] = {
         "invalid_{message}": "malformed messages of this type",
     },
     CONSOLE: {
-        "clients": "browsers that were let in",
+        "clients": "accepted browsers",
         "clients_refused": "browsers refused because all places were taken",
         "turned_away": "WebSockets of a foreign page, or with a wrong token",
         "messages": "messages of browsers, valid or not",

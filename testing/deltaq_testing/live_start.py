@@ -42,7 +42,7 @@ def live_cell(folder: Path, cell: str | Path = "lab", robot: str | None = None) 
         launcher.start()
         live = LiveCell(loaded, robot or next(iter(panels)), launcher, panels, records)
         if not live.recover():
-            raise CellUseError("the robots do not get ready; is the machine busy with other work?")
+            raise CellUseError("the robots did not become ready; is the machine busy with other programs?")
         live.begin()
         stack.callback(live.end_programs)
         yield live

@@ -65,7 +65,7 @@ class TimedFault:
             case Impair(link, _):
                 return frozenset({f"the link {link}"})
             case Misbehave():
-                return frozenset({"what the controller says"})
+                return frozenset({"the controller's requests"})
             case StepClock(process, _):
                 return frozenset({f"the clock of the {process}"})
             case AskPanel():

@@ -137,7 +137,7 @@ def test_a_port_in_the_ephemeral_range_is_a_warning(
     (problem,) = report.problems
     assert report.ok
     assert (problem.field, problem.value, problem.bound) == (field, port, 32767)
-    assert "take one below 32768" in problem.message
+    assert "choose one below 32768" in problem.message
     assert str(port) in lines[problem.line - 1]
 
 
@@ -294,7 +294,9 @@ def test_krc_files_whose_names_differ_by_case_alone_are_an_error(tmp_path: Path)
     for name in ("go.src", "GO.SRC"):
         (tmp_path / name).write_text('ret = RSI_CREATE("fr_ethernet.xml", id, TRUE)\n')
     path, _ = checked(tmp_path)
-    twins = [problem.message for problem in check_cell(path).errors if "one name to a KRC" in problem.message]
+    twins = [
+        problem.message for problem in check_cell(path).errors if "same name to a KRC" in problem.message
+    ]
     assert [message.partition(":")[2].partition(" are ")[0] for message in twins] == [
         " file: FR_ethernet.xml and fr_ethernet.xml",
         " file: GO.SRC and go.src",

@@ -85,7 +85,7 @@ def test_a_relative_name_is_not_searched_in_the_working_folder(
 ) -> None:
     (tmp_path / "link.stl").write_text("solid")
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(FileNotFoundError, match="it came without a folder to look in"):
+    with pytest.raises(FileNotFoundError, match="no folder to search is known"):
         find_file("link.stl")
 
 

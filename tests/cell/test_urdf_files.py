@@ -175,7 +175,7 @@ def test_a_mesh_with_an_invalid_unit_is_refused(tmp_path: Path, unit: str) -> No
 
 def test_mesh_indices_that_hang_assimp_are_refused(tmp_path: Path) -> None:
     (tmp_path / "m.dae").write_text(collada("", 1).replace("7 6 0 2", "7 inf 0 2"))
-    assert "m.dae cannot be read: <p> has what is no index" in told(
+    assert "m.dae cannot be read: <p> contains a value that is no index" in told(
         tmp_path, arm(shape='<mesh filename="m.dae"/>')
     )
 
@@ -185,7 +185,7 @@ def test_a_placement_with_an_invalid_rotation_is_refused_by_name(by: np.ndarray)
     model = pin.buildModelFromXML(arm(3))
     check_rotations(model, [], [np.zeros(2)], "arm.urdf")
     model.jointPlacements[2] = pin.SE3(by, np.zeros(3))
-    with pytest.raises(RobotModelError, match="joint 'j2' is placed by something that is not a rotation"):
+    with pytest.raises(RobotModelError, match="joint 'j2' has a placement that is not a rotation"):
         check_rotations(model, [], [np.zeros(2)], "arm.urdf")
 
 

@@ -302,7 +302,7 @@ def test_hands_that_hold_an_object_do_not_leave_their_place_for_an_option() -> N
     limitation = run.teleoperator.limitation
     assert limitation is not None
     assert limitation.limit is Limit.NO_WAY
-    assert "would part hands that hold an object" in limitation.text
+    assert "would separate hands that hold an object" in limitation.text
     run.step(OperatorCommand(grip=Grip.FREE))
     go_to(run, 1)
     assert run.teleoperator.arrived_at == 1

@@ -54,7 +54,7 @@ def held(mode: DrivingMode = DrivingMode.COUPLED, frame: Frame = Frame.WORLD) ->
             "dawm",
             OperatorCommand(),
             DrivingMode.JOINT,
-            "mode joint moves each joint by itself and would part",
+            "mode joint moves each joint by itself and would separate",
         ),
         ("dawm", OperatorCommand({"left.x": 0.1}), DrivingMode.COUPLED, "'left.x' moves one hand alone"),
     ],

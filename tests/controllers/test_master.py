@@ -127,7 +127,7 @@ def test_a_master_that_is_not_coupled_or_never_seen_moves_nothing() -> None:
     assert "fr is not coupled" in led.input.status
     unseen = LedInput(Clutch(), Master(led.slave.teleoperator, model("fr"), lambda: (None, None), 1.0))
     assert unseen.read(0.0) == OperatorCommand(led="")
-    assert "is not seen" in unseen.status
+    assert "sends no state" in unseen.status
 
 
 def test_the_executed_fraction_is_felt_at_the_coupling_device() -> None:
@@ -142,7 +142,7 @@ def test_a_silent_master_means_rest_until_it_is_coupled_again() -> None:
     led.is_seen = False
     led.drive(STALE_S + 0.1, x=0.1)
     assert led.read().rates == {}
-    assert "is not seen: couple it again" in led.input.status
+    assert "sends no state: couple it again" in led.input.status
     led.is_seen = True
     assert led.drive(0.3, x=0.1).rates == {}, "what it did meanwhile is not made up"
     led.rest()

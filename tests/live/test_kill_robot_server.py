@@ -59,7 +59,7 @@ def test_a_killed_brake_process_is_replaced_and_its_robot_held_until_then(moving
     os.close(first)
     stack.wait_for_reason(ReasonCode.CRASH_BRAKE_LOST)
     stack.wait_until_said(name, "was ended by SIGKILL: fr is held while another starts")
-    stack.wait_until_said(name, "the process that brakes fr waits again")
+    stack.wait_until_said(name, "the process that brakes fr is ready again")
     stack.wait_until_at_rest()
     stack.launcher.restart("mover")
     stack.reset()

@@ -341,14 +341,14 @@ async def test_closing_the_connection_releases_its_leases_first(running: Running
     await connection.close()
     assert (await running.cell.status()).robots["fr"].lease.holder is None
     assert running.peer.commands.empty()
-    with pytest.raises(RefusedError, match="given back"):
+    with pytest.raises(RefusedError, match="was released"):
         await robot.send(DQ)
 
 
 async def test_after_the_block_the_robot_can_no_longer_be_moved(running: Running) -> None:
     async with running.cell.lease("fr") as robot:
         await robot.move(DQ)
-    with pytest.raises(RefusedError, match="given back"):
+    with pytest.raises(RefusedError, match="was released"):
         await robot.move(DQ)
 
 

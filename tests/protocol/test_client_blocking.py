@@ -123,7 +123,7 @@ def test_sending_without_a_lease_or_connection_raises(server: Server) -> None:
     cell = connect(server.description.hli, client="notebook").open()
     with cell.lease("fr") as robot:
         robot.send(DQ)
-    with pytest.raises(RefusedError, match="given back"):
+    with pytest.raises(RefusedError, match="was released"):
         robot.send(DQ)
     cell.close()
     with pytest.raises(ServiceUnreachableError, match="connection was closed"):

@@ -116,7 +116,7 @@ def test_a_motion_blocked_by_the_gate_names_the_reason() -> None:
     for cycle in range(round(0.5 / CYCLE_S) + 1):
         motion.increment(cycle, start)
     with pytest.raises(
-        MotionError, match=r"^clearance: fr stands 100% .* fr/hand gr/hand 0\.0499 m \(bound 0\.05 m\)"
+        MotionError, match=r"^clearance: fr stopped with 100% .* fr/hand gr/hand 0\.0499 m \(bound 0\.05 m\)"
     ) as e:
         motion.increment(round(0.5 / CYCLE_S) + 1, start)
     assert (e.value.code, e.value.value, e.value.bound) == ("clearance", 0.0499, 0.05)
@@ -186,7 +186,7 @@ def test_a_tool_line_is_straight_without_rotation_and_keeps_all_limits(robot: st
 def test_an_unreachable_line_reports_its_reachable_length() -> None:
     summary = TOLD.robots["fr"]
     tool = Tool(TOLD.kinematics["fr"], summary)
-    with pytest.raises(ValueError, match=r"the tool of fr goes \d\.\d+ m of 5\.000 m: "):
+    with pytest.raises(ValueError, match=r"the tool of fr can move \d\.\d+ m of 5\.000 m: "):
         tool.line("fr", np.array(summary.home), np.array([0.0, 0.0, 5.0]))
 
 

@@ -80,13 +80,13 @@ class Desk(Sender):
             "fr",
             {"leader": "gr", "focus_m": (0, 0, 1)},
             ReasonCode.MALFORMED,
-            "focus_m: a point that stands still",
+            "focus_m: a fixed point of the world",
         ),
         (
             "fr",
             {"targets": [{"leader": "gr"}], "leader": "fr2"},
             ReasonCode.MALFORMED,
-            "targets: they are all that is looked at; leader,",
+            "targets: given together with leader,",
         ),
         (
             "fr",
@@ -98,7 +98,7 @@ class Desk(Sender):
             "fr",
             {"targets": [{"leader": "gr"}, {"leader": "fr2", "focus_m": (0, 0, 1)}]},
             ReasonCode.MALFORMED,
-            "targets.1.focus_m: a point that stands still",
+            "targets.1.focus_m: a fixed point of the world",
         ),
         (
             "fr",

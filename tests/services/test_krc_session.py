@@ -341,7 +341,7 @@ def test_nobody_but_the_krcs_own_address_is_listened_to(learned):
         peer.believed(("192.168.10.20", 49_152), 0.0)
     for now_s in (0.0, 9.0):
         assert peer.judge(("192.168.10.66", 49_152), now_s) is DatagramSource.FOREIGN
-        assert peer.stranger == "a stranger at 192.168.10.66:49152"
+        assert peer.stranger == "a foreign sender at 192.168.10.66:49152"
         assert peer.judge(("192.168.10.20", 49_152), now_s) is DatagramSource.KRC
 
 

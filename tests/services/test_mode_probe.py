@@ -191,10 +191,10 @@ def test_a_trial_adds_a_pulse_and_its_negative(cell):
 def test_a_robot_that_does_not_move_is_probed_again_and_again_until_it_does():
     arm = Arm(moves=False)
     probe = arm.trial(TRIAL - 1)
-    assert (probe.unseen, probe.bars, probe.detail) == ((), False, "finds out how the KRC takes corrections")
+    assert (probe.unseen, probe.bars, probe.detail) == ((), False, "probes the mode of corrections")
     arm.cycle()
     assert probe.unseen == GR.joint_names
-    assert probe.detail.startswith("e1, e2, e3, a1, a2, a3, a4, a5, a6 did not follow a probe")
+    assert probe.detail.startswith("e1, e2, e3, a1, a2, a3, a4, a5, a6 did not follow the mode probe")
     assert (probe.mode, probe.known, probe.refused, probe.bars) == (Mode.UNKNOWN, False, False, True)
     for _ in range(PAUSE):
         assert probe.idle
@@ -258,7 +258,7 @@ def test_a_robot_that_moves_on_though_nothing_is_sent_is_adrift_but_not_for_one_
     arm.trial(3)
     assert arm.probe.mode is Mode.ADRIFT
     assert (arm.probe.refused, arm.probe.bars, arm.probe.idle) == (True, True, True)
-    assert arm.probe.detail.startswith("the robot moves though its correction rests")
+    assert arm.probe.detail.startswith("the robot moves although its correction is constant")
 
 
 def test_of_a_pulse_in_which_the_robot_is_found_adrift_nothing_is_added_any_more():

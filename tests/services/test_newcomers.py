@@ -217,5 +217,5 @@ async def test_an_error_of_the_system_is_told_and_outlived(
     exhausted = Exhausted()
     monkeypatch.setattr(bench.newcomers, "_listeners", [exhausted])
     bench.newcomers._let_in(exhausted)
-    assert caplog.messages == ["no connection can be let in: [Errno 24] Too many open files"]
+    assert caplog.messages == ["no connection can be accepted: [Errno 24] Too many open files"]
     await bench.taken(bench.connected())

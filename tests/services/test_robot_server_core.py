@@ -48,7 +48,7 @@ class Rig:
     def probed(self):
         """The mode of a session is found out."""
         for _ in range(PROBE_CYCLES):
-            assert self.server.detail == "finds out how the KRC takes corrections"
+            assert self.server.detail == "probes the mode of corrections"
             self.cycle()
         assert self.server.detail == ""
 
@@ -687,7 +687,7 @@ def test_a_probe_in_which_a_telegram_was_lost_says_nothing_against_a_robot_that_
         unprobed.q = FR.home
         unprobed.ipoc += 12 * (is_lost and count == 4)
         unprobed.cycle()
-    assert unprobed.server.detail.startswith("finds out" if is_lost else "a1, a2, a3, a4, a5, a6 did not")
+    assert unprobed.server.detail.startswith("probes" if is_lost else "a1, a2, a3, a4, a5, a6 did not")
 
 
 def test_a_refused_krc_is_held_after_the_first_message_of_the_gate(unprobed):

@@ -272,7 +272,7 @@ def test_a_command_that_was_kept_back_for_longer_than_an_increment_may_be_is_sta
     rig.cycle()
     code, said = refusal(rig, late)
     assert code is ReasonCode.STALE_CYCLE
-    assert said == f"goes by cycle {seen} of {fields.get('robot', 'fr')}, which is at {rig.state.cycle}"
+    assert said == f"refers to cycle {seen} of {fields.get('robot', 'fr')}, which is at {rig.state.cycle}"
 
 
 def test_a_command_must_tell_the_cycles_of_the_robots_that_it_concerns_and_of_no_others(rig):
@@ -283,7 +283,7 @@ def test_a_command_must_tell_the_cycles_of_the_robots_that_it_concerns_and_of_no
     assert refusal(rig, bound(rig.sim, kind="io", robot="gr", cycles=of_fr))[0] is ReasonCode.STALE_CYCLE
     without = {"fr": cycles["fr"]}
     everywhere = bound(rig.sim, kind="io", cycles=without)
-    assert refusal(rig, everywhere)[1] == f"goes by cycle None of gr, which is at {cycles['gr']}"
+    assert refusal(rig, everywhere)[1] == f"refers to cycle None of gr, which is at {cycles['gr']}"
 
 
 def test_a_command_names_no_cycle_of_a_robot_without_a_state():

@@ -144,7 +144,7 @@ class KrcSide:
         """Cycle until the mode of the session is known."""
 
         def is_known():
-            assert self.server.detail in ("", "finds out how the KRC takes corrections")
+            assert self.server.detail in ("", "probes the mode of corrections")
             return not self.server.detail
 
         return self.until(is_known)

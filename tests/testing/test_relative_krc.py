@@ -99,7 +99,7 @@ def test_a_krc_in_t1_is_probed_until_its_motion_is_confirmed(monkeypatch):
     arm = stack.arms["fr"]
     assert furthest(stack, "fr", 100).max() == 0.0
     assert arm.server.state.phase is Phase.OFFLINE
-    assert arm.server.detail.startswith("a1, a2, a3, a4, a5, a6 did not follow a probe")
+    assert arm.server.detail.startswith("a1, a2, a3, a4, a5, a6 did not follow the mode probe")
     arm.krc.confirm()
     for _ in range(150):
         stack.cycle()

@@ -182,7 +182,7 @@ def _imported(name: str) -> Maker:
     module, colon, attribute = name.partition(":")
     if not colon:
         raise ControllerError(
-            f"no controller {name!r}; there are {', '.join(NAMES)}, and package.module:function for one's own"
+            f"no controller {name!r}; there are {', '.join(NAMES)}, or package.module:function for your own"
         )
     try:
         maker: Maker = getattr(importlib.import_module(module), attribute)

@@ -54,7 +54,7 @@ def main() -> int:
     """Run the process; returns its exit status."""
     parser = argparse.ArgumentParser(
         prog="python -m deltaq_controllers.leader",
-        description="Move a robot's tool about like an operator would; one JSON line of counts at the end.",
+        description="Move a robot's tool like an operator; one JSON line of counts at the end.",
     )
     parser.add_argument("--url", default=DEFAULT_ADDRESS, help="where the HLI serves (default: %(default)s)")
     parser.add_argument(
@@ -67,10 +67,10 @@ def main() -> int:
         default=STICK_ACCELERATION_M_S2,
         help="largest acceleration of the tool that the operator asks for (default: %(default)s)",
     )
-    parser.add_argument("--seed", type=int, default=0, help="one seed is one motion (default: %(default)s)")
-    parser.add_argument("--attack", metavar="ROBOT", help="a robot to run into, again and again")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the motion (default: %(default)s)")
+    parser.add_argument("--attack", metavar="ROBOT", help="a robot to collide with, repeatedly")
     parser.add_argument(
-        "--target", default="lens", help=f"at what: {', '.join(TARGETS)} (default: %(default)s)"
+        "--target", default="lens", help=f"point to collide with: {', '.join(TARGETS)} (default: %(default)s)"
     )
     parser.add_argument("--duration-s", type=float, default=None, help="end after this time (default: never)")
     options, statistics = parser.parse_args(), ControlStatistics()

@@ -28,7 +28,9 @@ NOTHING_FOUND = (
     "no configuration keeps the hands here clear of limits and obstacles; move the hands and ask again"
 )
 
-WOULD_PART = "the way there would part hands that hold an object; choose grip free first, or another option"
+WOULD_PART = (
+    "the path there would separate hands that hold an object; choose grip free first, or another option"
+)
 
 
 def tracker_of(robot: RobotModel, hands_may_leave: bool = False) -> ConstraintTracker:

@@ -171,7 +171,7 @@ def of_conditioning(hands: Hands, conditioning: Conditioning) -> Limitation:
     travel = float(np.linalg.norm(way.reshape(-1, 6)[:, :3])) / size
     bend = float(conditioning.rates @ conditioning.bend) / size
     if conditioning.lost > LOST:
-        text = f"the {name} is at a singularity: no joints move it that way"
+        text = f"the {name} is at a singularity: no joint motion moves it in that direction"
         return Limitation(Limit.SINGULARITY, name, text)
     told = f"{1000.0 * conditioning.mobility:.0f} mm of travel for each radian of the joints"
     if travel > _MOSTLY and bend < -_BENT:

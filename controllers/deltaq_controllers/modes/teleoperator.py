@@ -293,7 +293,7 @@ class Teleoperator:
             )
         if mode is DrivingMode.JOINT:
             raise ControllerError(
-                f"mode {mode.value} moves each joint by itself and would part hands that hold an object; "
+                f"mode {mode.value} moves each joint by itself and would separate hands that hold an object; "
                 f"choose grip {Grip.FREE.value} first, or another mode"
             )
 

@@ -142,8 +142,7 @@ def _follower(cell: Cell, robot: RobotModel, compiling: asyncio.Future[None]) ->
         raise ControllerError(f"{robot.name} carries no camera, or there is no other robot to follow")
     if not compiling.done():
         raise ControllerError(
-            "the camera controller is being compiled, which takes a minute, once; "
-            "release the robot then, and take it again"
+            "the camera controller is being compiled, for about a minute; then release the robot and take it again"
         )
     model = cell_model(cell.description)
     scenes = {name: Scene(model, robot.name, name) for name in others}

@@ -110,7 +110,7 @@ class Pilot:
 
         Raises:
             ControllerError: the mode could not be prepared or does not drive that, the robot has one hand, or the
-                mode would part hands that hold an object; the command is then dropped.
+                mode would separate hands that hold an object; the command is then dropped.
         """
         if (command.mode, command.frame, command.grip) != (None, None, None):
             self._change_mode(command)

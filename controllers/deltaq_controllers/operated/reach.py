@@ -293,6 +293,6 @@ def _straight(q: Array, end: Array) -> Array:
 def _words(share: float, tightest: Clearance) -> str:
     near = f"{100 * tightest.distance_m:.1f} cm between {' and '.join(tightest.pair)}"
     if share == 1.0:
-        return f"clear all the way, at least {near}"
+        return f"clear on the whole path, at least {near}"
     kept_cm = 100 * (tightest.distance_m - tightest.room_m)
-    return f"clear for {share:.0%} of the way, then {near}; {kept_cm:.1f} cm are kept"
+    return f"clear for {share:.0%} of the path, then {near}; {kept_cm:.1f} cm are kept"

@@ -102,7 +102,7 @@ def check_grip(teleoperator: Teleoperator, grip: Grip, mode: DrivingMode) -> Non
     teleoperator.check_grip(grip, DrivingMode.COUPLED)  # one hand is one in any mode
     if grip is Grip.OBJECT:
         raise ControllerError(
-            f"mode {mode.value} would part hands that hold an object; choose grip {Grip.FREE.value} first, "
+            f"mode {mode.value} would separate hands that hold an object; choose grip {Grip.FREE.value} first, "
             "or another mode"
         )
 

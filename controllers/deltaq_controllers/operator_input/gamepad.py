@@ -247,7 +247,7 @@ def _nothing_found(others: list[str]) -> str:
 HELP = (
     "hold the left shoulder button to move, the right one to turn: left stick x and y, right stick z\n"
     "Y next mode, X world/tool, A next hand, B ends; start next output, right trigger on, left trigger off\n"
-    "cross up/down: view nearer, farther; left/right: slower, faster, in modes of joints or options the next of them"
+    "D-pad up/down: view nearer, farther; left/right: slower, faster, in modes of joints or options the next of them"
 )
 
 _AXES = {

@@ -142,7 +142,7 @@ def _clipped(vector: Array, size: float) -> Array:
     return vector * min(1.0, size / max(float(np.linalg.norm(vector)), 1e-12))
 
 
-HELP = "the master leads the hand while c was the last key, or while a button that moves is held"
+HELP = "the master leads the hand while c was the last key, or while a motion button is held"
 STALE_S = 0.15
 """A master without a new state for this time is lost, and must be coupled again [s]."""
 MOST_M_S, MOST_RAD_S = 0.5, 1.75
@@ -226,7 +226,7 @@ class Master:
         if not teleoperator.mode_named(teleoperator.mode).drives_hands:
             self._uncouple(f"leads no hand in mode {teleoperator.mode.value}")
         elif seen is None:
-            self._uncouple("is not seen: couple it again")
+            self._uncouple("sends no state: couple it again")
         elif not self._has_rested:
             self._uncouple("moves: let it rest, then couple it")
         if seen is None or self._must_release:

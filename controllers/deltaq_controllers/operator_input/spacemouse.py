@@ -271,7 +271,7 @@ class SpaceMouse(OperatorInput):
             return f"{self._keyboard.status}, the SpaceMouse is unplugged"
         ignored = f", {self._cap.ignored} reports ignored" if self._cap.ignored else ""
         if not self._cap.is_armed:
-            return f"{self._keyboard.status}, let the cap go: nothing moves until it was at rest{ignored}"
+            return f"{self._keyboard.status}, release the cap: nothing moves until it was at rest{ignored}"
         return f"{self._keyboard.status}, {'held' if self._is_held else 'hold the left button'}{ignored}"
 
     def read(self, time_s: float) -> OperatorCommand | None:

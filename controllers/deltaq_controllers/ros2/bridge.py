@@ -139,8 +139,8 @@ def _opened(endpoint: str) -> Any:
         return zenoh.open(config)
     except zenoh.ZError:
         raise ServiceUnreachableError(
-            f"no zenoh router answers at {endpoint}; is it up (`ros2 run rmw_zenoh_cpp rmw_zenohd`), and the address "
-            "that of --ros-endpoint?"
+            f"no zenoh router answers at {endpoint}; is it up (`ros2 run rmw_zenoh_cpp rmw_zenohd`), "
+            "and is --ros-endpoint its address?"
         ) from None
 
 
@@ -273,7 +273,7 @@ class Bridge:
                 raise BridgeUseError(f"no robot {robot!r} in cell {cell.description.cell}; it has {has}")
         names = [ros_name(robot) for robot in cell.robots]
         if len(set(names)) < len(names):
-            raise BridgeUseError(f"robots {', '.join(cell.robots)}: two of them have one name in ROS")
+            raise BridgeUseError(f"robots {', '.join(cell.robots)}: two of them get the same name in ROS")
         return self._ros.namespace or f"/{ros_name(cell.description.cell)}"
 
     async def _publish(self, cell: Cell, robot: str, publisher: RosPublisher) -> None:

@@ -347,7 +347,7 @@ class TrajectoryMover:
             return
         if trajectory is None:
             self.counters["stops"] += 1
-            self._tell("an empty trajectory came: the robot is to rest", event="stop")
+            self._tell("an empty trajectory arrived: the robot comes to rest", event="stop")
         else:
             self.counters["trajectories"] += 1
             self._tell(

@@ -194,8 +194,8 @@ def _robot(cell: CellModel, name: str) -> tuple[str, ConstraintTracker]:
     if (tracker := first_redundant(cell.robots)) is not None:
         return tracker.robot.name, tracker
     raise AdvisorError(
-        f"cell {cell.description.cell} has no redundant robot whose hands are carried by six joints or more that turn: "
-        "nothing to advise on"
+        f"cell {cell.description.cell} has no redundant robot with at least six revolute joints before each hand: "
+        "there is nothing to advise on"
     )
 
 

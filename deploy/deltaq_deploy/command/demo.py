@@ -150,7 +150,9 @@ def _wait(
                 case Ready("console"):
                     tell_of_console(launcher, wanted=True)
                 case Exited("console", status):
-                    launcher.say(f"{describe_exit('console', status)}; the demonstration goes on without it")
+                    launcher.say(
+                        f"{describe_exit('console', status)}; the demonstration continues without it"
+                    )
                 case Exited(name, status):
                     return [f"{describe_exit(name, status)} during the demonstration"]
     return []
@@ -215,8 +217,8 @@ def in_words(summary: dict[str, Any]) -> tuple[str, ...]:
     ]
     return (
         f"camera: {_followed(summary['tracking'])}",
-        f"gate: it admitted {counts['admitted']} increments whole, limited {counts['scaled']}, braked instead of "
-        f"{counts['held']} and refused {counts['refused']}",
+        f"gate: it admitted {counts['admitted']} increments in full, limited {counts['scaled']}, "
+        f"replaced {counts['held']} by braking and refused {counts['refused']}",
         f"cycles of {summary['cycle_s'] * 1000:g} ms, as a client saw them: {'; '.join(missed)}",
         NEXT,
     )
@@ -225,7 +227,7 @@ def in_words(summary: dict[str, Any]) -> tuple[str, ...]:
 def _followed(tracking: dict[str, Any] | None) -> str:
     """How well the camera followed, beside the paper."""
     if not tracking:
-        return "it left no figures"
+        return "it reported no figures"
     angle_deg, distance_m = tracking["angle_deg"], tracking["distance_m"]
     if angle_deg["rms"] is None:
         return "it followed for too short a time to judge it; let the demo run for more than 5 s"

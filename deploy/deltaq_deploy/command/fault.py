@@ -88,7 +88,7 @@ def search(
         write_report(output, dumped(outcome.scenario))
     if not json:
         print_table(_title(outcome), ("expected", "met", "found"), _rows(outcome))
-        typer.echo("The shortest schedule that was found to fail:")
+        typer.echo("The shortest failing schedule:")
         for entry in outcome.scenario.faults:
             typer.echo(f"  - {{fault: {entry.fault}, at_s: {entry.at_s:g}, for_s: {entry.for_s:g}}}")
     raise typer.Exit(BAD)

@@ -97,7 +97,7 @@ def keys(
     for name in made.made:
         typer.echo(f"{output / name}: {name} of cell {description.cell}")
     for name in made.kept:
-        typer.echo(f"{name}: made before, and not again")
+        typer.echo(f"{name}: exists already; kept")
     if made.made:
         typer.echo(f"valid until {made.valid_until:%Y-%m-%d}; on each machine {IDENTITY} names its folder")
     typer.echo(f"{made.authority}: the authority. {KEEP}")

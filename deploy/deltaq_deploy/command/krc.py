@@ -219,7 +219,7 @@ def _report(summary: Summary, address: str, port: int, json: bool, refusals: dic
         for reason, count in refusals.items():
             typer.echo(f"not answered, {count} times: {reason}")
         for hint in hints:
-            typer.echo(f"nothing came: {hint}")
+            typer.echo(f"no telegram came: {hint}")
     if not summary.peers:
         raise typer.Exit(UNREACHABLE)
     if summary.problems or refusals:

@@ -135,7 +135,7 @@ def hz(
         )
         return
     print_table(
-        f"{description.cell}: cycle {description.cycle_s * 1000:g} ms, heard for {duration_s:g} s",
+        f"{description.cell}: cycle {description.cycle_s * 1000:g} ms, measured for {duration_s:g} s",
         ("key", "messages", "Hz", "expected", "median ms", "p99 ms", "longest ms"),
         (
             (

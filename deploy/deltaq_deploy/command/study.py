@@ -120,7 +120,7 @@ def experiment(
 
     takes = _TAKES.get(name)
     if takes is not None and (live or figure is not None or record is not None):
-        raise typer.BadParameter(f"{name.value} runs in virtual time, and takes {takes} and --json alone")
+        raise typer.BadParameter(f"{name.value} runs in virtual time, and takes only {takes} and --json")
     if name is Experiment.ATTACK:
         _attack(cell, seed, duration_s or 60.0, json)
         return

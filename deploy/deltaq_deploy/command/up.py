@@ -178,5 +178,5 @@ def watch(launcher: Launcher, cell: str) -> list[str]:
             case Exited(name, status):
                 ended.append(name)
                 again = f"deltaq up --cell {cell} --only {name}"
-                launcher.say(f"{describe_exit(name, status)}; the others go on; `{again}` starts it again")
+                launcher.say(f"{describe_exit(name, status)}; the others continue; `{again}` starts it again")
     return ended

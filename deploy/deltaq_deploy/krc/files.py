@@ -281,7 +281,7 @@ def notes_on(plan: KrcPlan) -> tuple[str, ...]:
             "--digital NAME=NUMBER"
         )
     if plan.krc == "krc2":
-        notes.append("the number of decimals is left as the KR C2 has it: see it with `deltaq krc sniff`")
+        notes.append("the number of decimals is the KR C2's own setting: check it with `deltaq krc sniff`")
     return tuple(notes)
 
 
@@ -294,7 +294,7 @@ def write_files(files: tuple[KrcFile, ...], folder: Path, *, force: bool = False
     there = [file.name for file in files if (folder / file.name).exists()]
     if there and not force:
         raise KrcFilesError(
-            f"{folder} has {', '.join(there)} already; take another folder, or --force to overwrite"
+            f"{folder} has {', '.join(there)} already; choose another folder, or --force to overwrite"
         )
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -165,7 +165,7 @@ def _clock(cycle_s: float) -> DoctorFinding:
     if p99 < cycle_s / 4:
         return DoctorFinding("clock", found, Rating.GOOD)
     return DoctorFinding(
-        "clock", found, Rating.FAIR, f"a cycle is {cycle_s * 1e6:.0f} us: find out what else runs here"
+        "clock", found, Rating.FAIR, f"a cycle is {cycle_s * 1e6:.0f} us: end other programs"
     )
 
 

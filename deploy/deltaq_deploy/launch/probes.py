@@ -59,7 +59,7 @@ def probe(service: Service, cell: CellDescription) -> ProbeAnswer:
         RuntimeFolderError: if the folder of the sockets is not this user's alone.
     """
     if service.probe is None or service.endpoint is None:
-        raise NoProbeError(f"{service.name} has no health to ask for")
+        raise NoProbeError(f"{service.name} reports no health")
     match service.probe:
         case Probe.HEALTH_TOPIC:
             return _ask_health_topic(service.name, service.endpoint, cell)

@@ -88,7 +88,7 @@ def _rate_tile(robot: RobotRun) -> tuple[str, str, str]:
     told = (
         (_percent(robot.admission_rate), "of its cycles while driven")
         if robot.outcomes
-        else ("–", "nobody drove it")
+        else ("–", "not driven")
     )
     return f"admission rate, {robot.name}", *told
 

@@ -83,7 +83,7 @@ class PlacedRelay:
         self.process.impair(faults)
 
     def lift(self) -> None:
-        """Let the wire be whole again."""
+        """Let the wire be unimpaired again."""
         self.process.impair(self.place.unit.faults())
 
     def with_relays(

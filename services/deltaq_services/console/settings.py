@@ -73,7 +73,7 @@ class Settings:
             raise NoTokenError(
                 "the console has a token or an identity of the cell's, and would give its rights to every user "
                 f"of this machine: give it a token of its own ({CONSOLE_TOKEN}_FILE; {MAKE_ONE}), start it with "
-                "`deltaq up`, which makes one, or start it without the other"
+                "`deltaq up`, which makes one, or start it without the cell's token and identity"
             )
         if self.token and len(self.token) < LEAST_CHARACTERS:
             raise NoTokenError(

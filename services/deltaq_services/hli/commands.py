@@ -94,7 +94,7 @@ _HINTS = {
 
 _WITHOUT_GATE = "without the gate every robot brakes to rest by itself; see `deltaq status`"
 _HINTS_UNCONFIRMED = {
-    "stop": "it was sent, and is obeyed by all that it reaches; " + _WITHOUT_GATE,
+    "stop": "it was sent, and every process that receives it obeys; " + _WITHOUT_GATE,
     "reset": "it was sent, and may still be carried out; see `deltaq status`",
 }
 

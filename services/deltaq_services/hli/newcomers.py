@@ -180,7 +180,7 @@ class Newcomers:
             except (BlockingIOError, InterruptedError, ConnectionAbortedError):
                 break
             except OSError as error:
-                _log.error("no connection can be let in: %s", error)
+                _log.error("no connection can be accepted: %s", error)
                 self._loop.remove_reader(listener)
                 self._loop.call_later(_REST_S, self._go_on, listener)
                 break

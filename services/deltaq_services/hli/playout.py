@@ -154,9 +154,9 @@ cycle. On links that lose packets a greater share and a smaller one let the came
 class Fate(Enum):
     """What becomes of an increment that has no turn of its own."""
 
-    CARRIED = "its motion goes out with those behind it"
-    SUPERSEDED = "another that answers the same state was taken"
-    LATE = "its turn was too long ago"
+    CARRIED = "later increments carry its motion"
+    SUPERSEDED = "another answer to the same state was accepted"
+    LATE = "it is too late for its cycle"
 
 
 @dataclass(frozen=True, slots=True)

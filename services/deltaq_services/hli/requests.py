@@ -47,7 +47,9 @@ from deltaq_services.outputs import ClientOrigin, Output, Sender, ToSender
 
 # Requested views of a camera: their check, and the sum of all requests.
 
-_NOT_ON_A_TOOL = "focus_m: a point that stands still is not on a tool; leader or aim_offset_m was given too"
+_NOT_ON_A_TOOL = (
+    "focus_m: a fixed point of the world, given together with leader or aim_offset_m, a point of a tool"
+)
 _EACH = "give each target either a `leader`, which may have an `aim_offset_m`, or a `focus_m`"
 
 
@@ -63,11 +65,11 @@ def problem_of(request: ViewRequest, cell: CellDescription) -> tuple[str, str] |
         text = f"leader: {request.leader!r} is not another robot; {robot} can look at {', '.join(others) or 'nobody'}"
         return text, "name another robot of the cell"
     if request.focus_m is not None and (request.leader is not None or request.aim_offset_m is not None):
-        return _NOT_ON_A_TOOL, "give one of them"
+        return _NOT_ON_A_TOOL, "give one of the two"
     if request.targets is None:
         return None
     if any(value is not None for value in (request.leader, request.aim_offset_m, request.focus_m)):
-        text = "targets: they are all that is looked at; leader, aim_offset_m or focus_m was given too"
+        text = "targets: given together with leader, aim_offset_m or focus_m, which they replace"
         return text, "make it one of the targets"
     for place, target in enumerate(request.targets):
         text = _problem_of_target(target, others)

@@ -213,7 +213,7 @@ class HliState(Part):
         return self.refuse(increment.robot, increment.cycle, increment.seq, reason, asked.sender)
 
     def carry(self, asked: Asked, late: Reason) -> list[Output]:
-        """Say that an increment came after its turn, and its motion goes out with those behind it."""
+        """Say that an increment came after its turn, and later increments carry its motion."""
         self.counters["carried"] += 1
         increment = asked.increment
         return refusal(

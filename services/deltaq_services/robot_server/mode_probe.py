@@ -175,14 +175,16 @@ class ModeProbe(Part):
         if self.mode is Mode.RELATIVE:
             return f"the KRC adds corrections up, as RSI_ON(#RELATIVE) does; {_REMEDY}"
         if self.mode is Mode.ADRIFT:
-            return f"the robot moves though its correction rests, as with RSI_ON(#RELATIVE); {_REMEDY}"
+            return (
+                f"the robot moves although its correction is constant, as with RSI_ON(#RELATIVE); {_REMEDY}"
+            )
         if self.unseen:
             return (
-                f"{', '.join(self.unseen)} did not follow a probe of how the KRC takes corrections, which goes on: are "
+                f"{', '.join(self.unseen)} did not follow the mode probe, which continues: are "
                 "the drives on, is RSI_MOVECORR confirmed, does the KRC send four decimals, do the drives lag less "
                 f"than {LONGEST_S * 1e3:.0f} ms?"
             )
-        return "finds out how the KRC takes corrections"
+        return "probes the mode of corrections"
 
     def cycle(self, q: Array, ipoc: int, missed_last: bool) -> None:
         """One telegram of the session.

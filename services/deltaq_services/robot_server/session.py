@@ -140,7 +140,7 @@ class Peer(Part):
             return DatagramSource.KRC
         host, port = sender
         if port == 0 or self._krc_address not in (None, host):
-            self.stranger = f"a stranger at {host}:{port}"
+            self.stranger = f"a foreign sender at {host}:{port}"
             return DatagramSource.FOREIGN
         if self.address is None or now_s - self._heard_s > self._silence_s:
             return DatagramSource.KRC

@@ -176,7 +176,7 @@ def serve(cell: CellDescription, robot: str, ethernet_xml: Path | None) -> None:
                 waits = f"waits for its KRC on {description.address}:{description.port}"
             else:
                 driver = KinematicRobot(cell.robots[robot].home, cell.cycle_s)
-                waits = "keeps the time of a kinematic robot"
+                waits = "drives a kinematic robot"
             loop = Loop(server, driver, link, Ending(server))
             _log.info("ready: robot-server-%s %s", robot, waits)
             loop.run()

@@ -48,7 +48,7 @@ class CommandOrder:
         for robot in robots:
             state, seen = robot.tracker.state, command.cycles.get(robot.name)
             if state is not None and (seen is None or state.cycle - seen > robot.max_age_cycles):
-                said = f"goes by cycle {seen} of {robot.name}, which is at {state.cycle}"
+                said = f"refers to cycle {seen} of {robot.name}, which is at {state.cycle}"
                 return self._refused(command, epoch, ReasonCode.STALE_CYCLE, said)
         return None
 

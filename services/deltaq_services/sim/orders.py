@@ -134,7 +134,7 @@ class Orders:
             )
         if state.reason is ReasonCode.CYCLE_MISMATCH:
             return ReasonCode.CAUSE_STANDS, (
-                f"the KRC of {self._robot.name} does not tick with the cell's cycle; its Robot Server's "
+                f"the KRC of {self._robot.name} does not run at the cell's cycle; its Robot Server's "
                 "status has both figures"
             )
         if state.reason is ReasonCode.DRIVE_LAG:

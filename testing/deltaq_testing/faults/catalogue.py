@@ -234,8 +234,8 @@ def _links() -> tuple[Fault, ...]:
         ("cut", "carries nothing", LinkFaults(drop=1.0)),
         ("lossy", "loses 30 %", LinkFaults(drop=0.3)),
         ("delayed", "takes 30 ms, ± 20 ms", LinkFaults(delay_s=0.01, jitter_s=0.04)),
-        ("duplicating", "doubles half", LinkFaults(duplicate=0.5)),
-        ("reordering", "lets 30 % be overtaken", LinkFaults(reorder=0.3)),
+        ("duplicating", "duplicates half", LinkFaults(duplicate=0.5)),
+        ("reordering", "reorders 30 %", LinkFaults(reorder=0.3)),
     )
     return tuple(
         Fault(f"{link}-{kind}", f"the wire {link} {what}", Impair(link, faults))
@@ -252,11 +252,11 @@ def _datagrams() -> tuple[Fault, ...]:
         ("slow", "takes 2 ms each way", LinkFaults(delay_s=0.002)),
         ("late", "takes 8 ms each way", LinkFaults(delay_s=0.008)),
         ("jittery", "takes up to 12 ms each way", LinkFaults(jitter_s=0.012)),
-        ("duplicating", "doubles half", LinkFaults(duplicate=0.5)),
-        ("reordering", "lets 30 % be overtaken", LinkFaults(reorder=0.3)),
+        ("duplicating", "duplicates half", LinkFaults(duplicate=0.5)),
+        ("reordering", "reorders 30 %", LinkFaults(reorder=0.3)),
         ("garbling", "garbles 30 %", LinkFaults(corrupt=0.3)),
-        ("truncating", "cuts the end off 30 %", LinkFaults(truncate=0.3)),
-        ("misspelling", "makes another digit of one in 30 %", LinkFaults(flip=0.3)),
+        ("truncating", "truncates 30 %", LinkFaults(truncate=0.3)),
+        ("misspelling", "changes one digit in 30 %", LinkFaults(flip=0.3)),
     )
     return tuple(
         Fault(f"{link}-{kind}", f"a relay on RSI's wire {what}", Impair(link, faults))
@@ -275,31 +275,33 @@ CATALOGUE: tuple[Fault, ...] = (
     Fault("controller-leap", "asks for 1 rad a cycle", Misbehave(Misbehaviour.LEAP)),
     Fault("hli-dead", "kill -9 of the HLI", Kill(Process.HLI)),
     Fault("hli-frozen", "SIGSTOP of the HLI", Freeze(Process.HLI)),
-    Fault("hli-clock-forward", "the HLI's clock leaps 10 s ahead", StepClock(Process.HLI, 10.0)),
-    Fault("hli-clock-back", "the HLI's clock leaps 10 s back", StepClock(Process.HLI, -10.0)),
+    Fault("hli-clock-forward", "the HLI's clock jumps 10 s ahead", StepClock(Process.HLI, 10.0)),
+    Fault("hli-clock-back", "the HLI's clock jumps 10 s back", StepClock(Process.HLI, -10.0)),
     Fault(
         "hli-begins-in-the-past",
-        "kill -9 of the HLI; the next one finds the time of day an hour back",
+        "kill -9 of the HLI; the next one starts with the time of day an hour back",
         BeginInThePast(Process.HLI, -3600.0),
     ),
     Fault("sim-dead", "kill -9 of the SIM", Kill(Process.SIM)),
     Fault("sim-frozen", "SIGSTOP of the SIM", Freeze(Process.SIM)),
     Fault("sim-slow", "the SIM's answers come 18 ms late", Slow(Process.SIM, 0.018)),
-    Fault("sim-clock-forward", "the SIM's clock leaps 10 s ahead", StepClock(Process.SIM, 10.0)),
+    Fault("sim-clock-forward", "the SIM's clock jumps 10 s ahead", StepClock(Process.SIM, 10.0)),
     Fault("robot-server-dead", "kill -9 of the Robot Server", Kill(Process.ROBOT_SERVER)),
     Fault("robot-server-frozen", "SIGSTOP of the Robot Server", Freeze(Process.ROBOT_SERVER)),
     Fault(
         "robot-server-clock-forward",
-        "the Robot Server's clock leaps 10 s ahead",
+        "the Robot Server's clock jumps 10 s ahead",
         StepClock(Process.ROBOT_SERVER, 10.0),
     ),
     Fault(
         "robot-server-clock-back",
-        "the Robot Server's clock leaps 10 s back",
+        "the Robot Server's clock jumps 10 s back",
         StepClock(Process.ROBOT_SERVER, -10.0),
     ),
-    Fault("wall-clock-forward", "the time of day leaps an hour ahead in every service", SetWallClock(3600.0)),
-    Fault("wall-clock-back", "the time of day leaps an hour back in every service", SetWallClock(-3600.0)),
+    Fault(
+        "wall-clock-forward", "the time of day jumps by an hour ahead in every service", SetWallClock(3600.0)
+    ),
+    Fault("wall-clock-back", "the time of day jumps by an hour back in every service", SetWallClock(-3600.0)),
     Fault(
         "wall-clock-drift", "the time of day runs 5 % fast in every service", SetWallClock(drift_ppm=50_000)
     ),
@@ -318,16 +320,16 @@ CATALOGUE: tuple[Fault, ...] = (
     _wire("krc-duplicating", "half of all telegrams and replies come twice", duplicate=0.5),
     _wire("krc-reordering", "30 % of all telegrams and replies are overtaken", reorder=0.3),
     _wire("krc-garbled", "30 % of the KRC's telegrams are garbled", link="to_pc", corrupt=0.3),
-    _wire("krc-truncated", "30 % of the KRC's telegrams lose their end", link="to_pc", truncate=0.3),
-    _wire("krc-digits", "in 30 % of the KRC's telegrams one digit is another", link="to_pc", flip=0.3),
+    _wire("krc-truncated", "30 % of the KRC's telegrams are truncated", link="to_pc", truncate=0.3),
+    _wire("krc-digits", "one digit is wrong in 30 % of the KRC's telegrams", link="to_pc", flip=0.3),
     _wire("krc-replies-garbled", "30 % of the replies are garbled", link="from_pc", corrupt=0.3),
     Fault("krc-hiccup", "the KRC is silent for 8 cycles", AskPanel({"op": "fault", "freeze_cycles": 8})),
     Fault("krc-silent", "the KRC is silent for 40 cycles", AskPanel({"op": "fault", "freeze_cycles": 40})),
-    Fault("krc-ipoc-back", "the IPOC leaps 24 ms back", AskPanel({"op": "fault", "ipoc_shift_ms": -24})),
-    Fault("krc-ipoc-gap", "the IPOC leaps 240 ms ahead", AskPanel({"op": "fault", "ipoc_shift_ms": 240})),
+    Fault("krc-ipoc-back", "the IPOC jumps 24 ms back", AskPanel({"op": "fault", "ipoc_shift_ms": -24})),
+    Fault("krc-ipoc-gap", "the IPOC jumps 240 ms ahead", AskPanel({"op": "fault", "ipoc_shift_ms": 240})),
     _wire(
         "krc-forged",
-        "a stranger sends a session far ahead, and the robot 1.4° off",
+        "a foreign sender sends a session far ahead, with the robot 1.4° off",
         forge=[
             {"address": _STRANGER, "ipoc_shift": 60_000},
             {"address": _STRANGER, "offset_deg": 1.4},
@@ -336,7 +338,7 @@ CATALOGUE: tuple[Fault, ...] = (
     ),
     _wire(
         "krc-second",
-        "a second KRC sends from another port, its robot 1.4° off",
+        "a second KRC sends from another port, with its robot 1.4° off",
         forge=[{"ipoc_shift": 60_000, "offset_deg": 1.4, "programmed_too": True}],
     ),
     Fault("krc-oversized", "another sender sends datagrams longer than any telegram", Bombard.OVERSIZED),

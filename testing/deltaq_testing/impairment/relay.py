@@ -288,7 +288,7 @@ async def impair_for_a_while(
                 say(f"impaired: {faults.model_dump_json(exclude_defaults=True)}")
                 await asyncio.sleep(for_s if for_s is not None else float("inf"))
                 running.impair(unit.faults())
-                say("whole again")
+                say("unimpaired again")
                 await asyncio.Event().wait()
         except TimeoutError:
             return

@@ -53,7 +53,9 @@ def test_the_demonstration_ends_with_four_lines_in_words() -> None:
         "camera: it kept the target within 0.20° and 0.4 cm (rms; at most 0.50° and 50.0 cm), the paper within 1° and "
         "2 cm; it saw the target in 90% of the cycles"
     )
-    assert gate == "gate: it admitted 3000 increments whole, limited 12, braked instead of 3 and refused 0"
+    assert (
+        gate == "gate: it admitted 3000 increments in full, limited 12, replaced 3 by braking and refused 0"
+    )
     assert cycles == (
         "cycles of 12 ms, as a client saw them: fr missed none of its 1600 cycles and moved as admitted in 99.5%"
     )

@@ -33,7 +33,7 @@ def command(*options: str) -> list[str]:
             2,
             "kept order does not apply to bytes, only to lines, messages",
         ),
-        (("--unit", "lines", "--keep-order"), 2, "without --jitter-s none overtakes another"),
+        (("--unit", "lines", "--keep-order"), 2, "without --jitter-s messages keep their order"),
         (("--listen", "tcp/192.0.2.1:9"), 3, "cannot listen on tcp/192.0.2.1:9"),
     ],
 )
@@ -66,7 +66,7 @@ def test_a_cut_lasts_as_long_as_requested_and_the_link_works_before_and_after() 
                     there.settimeout(300)
                     assert is_broken(there)
                     there.close()
-                assert relay.stdout.readline() == "whole again\n"
+                assert relay.stdout.readline() == "unimpaired again\n"
                 with socket.create_connection(("127.0.0.1", port), timeout=300) as client:
                     there, _ = server.accept()
                     client.sendall(b"after")

@@ -246,7 +246,7 @@ def test_a_dead_service_is_named_and_restarted_and_no_process_remains(
     assert len(children) == len(SERVICES)
     (sim,) = [pid for pid in children if b"deltaq_services.sim" in Path(f"/proc/{pid}/cmdline").read_bytes()]
     os.kill(sim, signal.SIGKILL)
-    assert "sim was ended by SIGKILL; the others go on" in cell.read_until("SIGKILL")
+    assert "sim was ended by SIGKILL; the others continue" in cell.read_until("SIGKILL")
     again = start(cell.file, "--only", "sim")
     try:
         again.read_until("cell lab is up: sim")

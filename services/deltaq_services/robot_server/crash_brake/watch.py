@@ -142,7 +142,7 @@ class CrashWatch:
         """
         if not (fault := self._fault()):
             if self._lost and self._memory.armed:
-                _log.warning("the process that brakes %s waits again; a reset lets it move", self._robot)
+                _log.warning("the process that brakes %s is ready again; a reset permits motion", self._robot)
                 self._lost = ""
             return
         if fault != self._lost:
