@@ -41,11 +41,6 @@ def test_a_robot_at_rest_has_one_point_and_one_window():
     assert piece.first == piece.last
 
 
-def test_a_branch_that_stands_has_no_setpoints_to_come():
-    assert Branch(np.zeros(2), 3, -1).setpoints(np.ones(2)).shape == (0, 2)
-    assert Branch(np.ones(2), 3, 2).setpoints(np.ones(2)).shape == (0, 2)
-
-
 @pytest.mark.parametrize("measured", [None, np.array([0.1, 0.2])])
 def test_windows_begin_now_and_end_when_the_drives_have_caught_up_with_the_last_setpoint(measured):
     history, cycles = np.tile([1.0, 2.0], (LAG, 1)), 3
@@ -110,13 +105,6 @@ def test_division_ends_at_what_no_drive_resolves_and_where_a_span_is_as_wide_as_
     assert len(line(1e-3, 0.9e-3).halves()) == 2
     assert len(line(1e-3, 0.0).halves()) == 2
     assert Span.around(np.ones((3, 2)), np.zeros(2), 0.0).halves() == ()
-
-
-@pytest.mark.parametrize("last", [3, 8, 9])
-def test_halving_loses_no_window_and_repeats_none(last):
-    points = np.random.default_rng(0).normal(size=(10, 2))
-    leaves = windows_of(Windows(points, exact_drives(2), 2, last))
-    assert [(leaf.first, leaf.last) for leaf in leaves] == [(window, window) for window in range(2, last + 1)]
 
 
 MAX_DV = np.array([0.0016, 0.0007, 0.003])
@@ -231,10 +219,6 @@ def test_a_tube_holds_the_last_setpoints_and_those_to_come():
     piece = tube(rising(3), Branch(DQ, 2, -1), DRIVES)
     np.testing.assert_allclose(piece.points, [*rising(3), HERE + DQ, HERE + 1.5 * DQ])
     assert piece.drives.lag == SHORT_LAG
-
-
-def test_a_tube_reaches_from_the_present_window_to_the_one_in_which_the_drives_have_settled():
-    piece = tube(rising(3), Branch(DQ, 2, -1), DRIVES)
     assert (piece.first, piece.last) == (2, 4 + SHORT_LAG)
 
 
