@@ -104,7 +104,7 @@ def placed_at_first(cell: Anatomy) -> Placed:
 
 
 def findings(pairs: int) -> Findings:
-    """Room for what a look at that many pairs leaves behind."""
+    """Arrays for the findings of a query about that many pairs."""
     return Findings(
         room_m=np.zeros(pairs),
         travel_m=np.zeros(pairs),

@@ -127,7 +127,7 @@ class ModelCheck:
         yield from self._told(cell)
 
     def _limits(self, robot: RobotModel) -> Iterator[Problem]:
-        """A joint's limits lie inside those of the robot's own data sheet, as its URDF has them."""
+        """Check that a joint's limits lie inside those of its URDF."""
         for index, (name, joint) in enumerate(robot.description.joints.items()):
             unit, factor = ("deg", math.degrees(1.0)) if joint.revolute else ("m", 1.0)
             sheet = {
@@ -174,7 +174,7 @@ class ModelCheck:
             yield self._at(("robots", robot.name, "joints", name), message, severity="warning")
 
     def _contacts(self, cell: CellModel) -> Iterator[Problem]:
-        """The bodies of a contact exist, and those that may touch belong to a robot."""
+        """Check that the bodies of a contact exist, and that those in `bodies` belong to a robot."""
         own = [body.name for robot in cell.robots.values() for body in robot.geometry.geometryObjects]
         known = [*own, *(body.name for body in cell.structure)]
         for name, contact in self._cell.contacts.items():

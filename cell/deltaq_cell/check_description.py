@@ -93,7 +93,7 @@ class DescriptionCheck:
                     yield self._at(field, told, port, LEAST_GIVEN_PORT - 1, severity="warning")
 
     def _guarded_realm(self) -> Iterator[Problem]:
-        """Strangers are kept out of the guarded realm by Unix permissions or by TLS."""
+        """Check that Unix permissions or TLS protect the guarded realm."""
         if (fault := guarded_fault(self._cell)) is not None:
             endpoint, told = fault
             yield self._at(endpoint.field, told, endpoint.text)

@@ -136,7 +136,7 @@ class CompiledProximity(ProximityEngine):
     def place(
         self, robot: str, q: Array, half: Array, offsets: Array | None = None, deviation: Array | None = None
     ) -> float:
-        """Place a robot in a span of joint space, which the kernel knows of at once, and coal when it measures.
+        """Place a robot in a span of joint space; the kernel uses it at once, coal at its next measurement.
 
         Args:
             robot: its name.
@@ -233,7 +233,7 @@ class CompiledProximity(ProximityEngine):
     def whole_tube(
         self, robot: str, points: Array, lag: int, first: int, last: int, tolerance: Array, spread: float
     ) -> Tube:
-        """A robot's tube as the kernel takes it.
+        """A robot's tube in the kernel's form.
 
         Args:
             robot: its name.
@@ -247,7 +247,7 @@ class CompiledProximity(ProximityEngine):
         return Tube(points, lag, first, last, tolerance, spread, *self._ranges[robot])
 
     def keep_a_depth(self, groups: Sequence[Group], room_m: float) -> bool:
-        """Whether bodies that may be in one another are asked to get no deeper, which only coal can tell."""
+        """Whether a group is allowed to overlap (stop distance plus `room_m` at most 0): work for coal."""
         stops = self._as_listed(groups).pairs.stop_m
         return bool(stops.size) and bool(stops.min() + room_m <= 0.0)
 

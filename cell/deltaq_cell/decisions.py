@@ -32,7 +32,7 @@ _APART_M = 1e-5
 
 
 class KernelArrays(NamedTuple):
-    """What the kernel is handed over, all of it written over and over."""
+    """Arguments of the kernel: arrays that are reused in every call."""
 
     anatomy: Anatomy
     where: Placed
@@ -146,7 +146,7 @@ class Decisions:
         return self._least_stop_m + room_m <= 0.0
 
     def against(self, robot: str, others: Sequence[tuple[str, Tube]]) -> Against:
-        """What a robot's tube is held against: the structure and itself, and tubes of other robots."""
+        """The bodies that a tube is checked against: structure, the robot itself, and tubes of other robots."""
         joints, bodies = self._ranges[robot]
         rows = [(0, 0, 0, 0, 0, *joints, *bodies, *_range(self._alone[robot]), _ALONE)]
         end = 0

@@ -1,4 +1,4 @@
-"""Where the services of a cell meet in the guarded realm: on one machine, or on several over TLS."""
+"""Endpoints of the guarded realm: Unix sockets on one machine, TLS between several."""
 
 from __future__ import annotations
 

@@ -105,7 +105,7 @@ def _around(points: Array, normals: Array) -> Array:
 
 
 def _outside(corners: Array) -> Array:
-    """Those corners that qhull takes for corners: of two that rounding tells apart it takes one."""
+    """The corners that qhull keeps; of two that differ only by rounding it keeps one."""
     hull = convex_hull(corners)
     return corners if hull.num_points == len(corners) else points_of(hull)
 
@@ -185,5 +185,5 @@ def _points(points: Array | Corners) -> Any:
 
 
 def as_told(points: Array | Sequence[Any]) -> Corners:
-    """Corners as they are sent."""
+    """Corners in the form of messages."""
     return tuple((float(x), float(y), float(z)) for x, y, z in points)

@@ -1,4 +1,4 @@
-"""What is wrong with a cell description, and where: file, line, field, value, bound, suggestion."""
+"""Problems of a cell description: file, line, field, value, bound, suggestion."""
 
 from __future__ import annotations
 

@@ -127,7 +127,7 @@ def body_geometry(name: str, body: Body, parent_joint: int, parent: pin.SE3) -> 
 
 
 def structure_geometry(description: CellDescription) -> list[pin.GeometryObject]:
-    """Everything that stands in the cell, in world coordinates, named `structure/pipe_1` and so on."""
+    """The structure's bodies in world coordinates, named `structure/pipe_1` and so on."""
     world = pin.SE3.Identity()
     return [
         body_geometry(f"structure/{name}", body, 0, world) for name, body in description.structure.items()

@@ -123,7 +123,7 @@ class SightLines:
         return tuple(self.names[index] for index in blocking)
 
     def beside(self, eye: Array, target: Array, within_m: float) -> tuple[BesideLine, ...]:
-        """What is on a line from an eye (3,) to a target (3,) in the world, or nearer to it than that [m].
+        """The bodies on, or near, the line from an eye (3,) to a target (3,), world coordinates [m].
 
         None of the bodies at the target is among them.
         """

@@ -45,11 +45,11 @@ it is in vain, it costs a cycle of the brake."""
 
 
 class CatchUp:
-    """Finds the state to leave without an answer, where each increment is decided one state late. Pure.
+    """Decides which state to leave unanswered if every increment is decided one state late. Pure.
 
-    One late increment makes all after it wait in the gate for the next state. If the controller leaves one state
-    without an answer, the increment that waits has its place, and the next answer is decided at once. If that does not
-    last, the machine or the link is too slow: the next state is left out after twice as many answers.
+    After one late increment, each later one waits in the gate for the next state. If the controller leaves one state
+    unanswered, the waiting increment takes that cycle, and the next answer is decided at once. If increments become
+    late again, the machine or the link is too slow: the next state is left out after twice as many answers.
     """
 
     def __init__(self) -> None:
@@ -71,7 +71,7 @@ class Answers:
     Args:
         cell: connection to the cell.
         leased: the robot.
-        reading: of the robots' clocks, which goes on with each state; None for one of its own.
+        reading: reads the robots' clocks, a little with each state; None for a reading of its own.
     """
 
     def __init__(self, cell: Cell, leased: LeasedRobot, reading: ClockReading | None = None) -> None:
@@ -86,8 +86,8 @@ class Answers:
     async def due(self, state: RobotState) -> Sequence[int]:
         """The cycles for which increments are to be sent now.
 
-        It is that of the state. With a lookahead it is also that of those before it that were missed, if there is room.
-        Without one it is none, now and then, while each increment waits for the state after that which it answers.
+        Usually that is the state's own cycle. With a lookahead, cycles of missed states are due as well, if their
+        answers are still in time. Without one, no cycle is due if `CatchUp` leaves the state out.
 
         Args:
             state: newer than all before it.
@@ -110,7 +110,7 @@ class Answers:
         return view_ahead(state, self._in_flight.ahead(state))
 
     def view(self, state: RobotState) -> View:
-        """The same, and the newest states of all others whose clocks are known."""
+        """The own robot as in `own`, and the newest states of all other robots with known clocks."""
         return view_of(self._cell, state.robot, self.own(state), self._reading.clocks)
 
     async def send(self, state: RobotState, cycle: int, dq: Array) -> None:

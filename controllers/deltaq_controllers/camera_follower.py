@@ -46,7 +46,7 @@ the start counts as reached [rad or m]."""
 
 
 class MoveToStart:
-    """Brings the robot to its start, and then lets the camera controller go on.
+    """Moves the robot to its start, then runs the camera controller.
 
     Args:
         camera: the controller.
@@ -223,7 +223,7 @@ class FollowerProcess:
         self._distance.add(distance, settled)
 
     def _look(self, camera: CameraInUse, age_s: float, time_s: float) -> None:
-        """Count how well the controller sees its target, and say when that or the target changes."""
+        """Count the controller's sight, and log changes of sight and target."""
         sight, target = camera.sight, camera.target
         if sight is not None and self._sightings.add(sight, age_s, time_s):
             if sight is Sight.FRESH:

@@ -45,13 +45,13 @@ class RobotView:
 
     @classmethod
     def from_state(cls, state: RobotState) -> Self:
-        """The same from a state message."""
+        """Make it from a state message."""
         q_cmd = state.q_cmd if state.q_ahead is None else state.q_ahead
         cycle = state.cycle if state.setpoint_cycle is None else state.setpoint_cycle - 1
         return cls(cycle, state.time_s, np.array(state.q), np.array(q_cmd), cycle - state.cycle)
 
     def after(self, cycle: int, dq: Array) -> RobotView:
-        """The same with an increment (n,) that is in flight: it is what the cycle after `cycle` will command.
+        """The view with an increment (n,) in flight added; the increment takes effect in the cycle after `cycle`.
 
         A controller that left it out would request its motion twice.
         """

@@ -248,7 +248,7 @@ async def drive(
 
 @contextlib.contextmanager
 def control_loop() -> Iterator[None]:
-    """Prepares the process for a control loop: models live for ever, and a cycle waits for no ordinary program."""
+    """Prepare the process for a control loop: exempt present objects from garbage collection, ask for priority."""
     gc.collect()
     gc.freeze()  # later garbage collections skip all present objects
     with ahead_of_ordinary_programs():
@@ -285,7 +285,7 @@ def run(
 
 
 async def until_told(controller: Coroutine[Any, Any, None]) -> None:
-    """Run until it ends, or SIGTERM or SIGINT cancels it."""
+    """Run a coroutine until it ends, or until SIGTERM or SIGINT cancels it."""
     task = asyncio.create_task(controller)
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):

@@ -172,7 +172,7 @@ class RobotClocks:
         return before[1]
 
     def age_s(self, robot: str, stamp_s: float, now_s: float) -> float | None:
-        """How old is what a robot's server stamped [s], on this clock now [s]; None while it is not known."""
+        """Age of a stamp of a robot's server at the present time of this clock [s]; None while the clock is unknown."""
         clock = self._clocks[robot]
         return clock.age_s(stamp_s, now_s) if clock.known else None
 
@@ -207,7 +207,7 @@ class ClockReading:
         self._under_way: asyncio.Task[None] | None = None
 
     async def read_first(self) -> None:
-        """Read the clocks of all robots that are heard.
+        """Read the clocks of all robots whose states arrive.
 
         Of a busy machine some answers come too late, and tell nothing of a clock.
 

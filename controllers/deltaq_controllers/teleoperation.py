@@ -143,7 +143,7 @@ class SignalLog:
 
     @property
     def status(self) -> str:
-        """Outputs and inputs in a line, for people."""
+        """Outputs and inputs as one line of text."""
         told = {**self.outputs, **self.inputs}
         return ", ".join(f"{name} {'on' if is_on else 'off'}" for name, is_on in told.items())
 

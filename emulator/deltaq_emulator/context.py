@@ -42,7 +42,7 @@ _ST_SETPARAM = re.compile(r"\bST_SETPARAM\s*\(\s*(\w+)\s*,([^,()]+),([^,()]+)\)"
 
 @dataclass(frozen=True)
 class Context:
-    """Settings from the files; None where they say nothing.
+    """Settings from the files; None for values that they do not contain.
 
     Attributes:
         corrected: axes for which there is a correction object.

@@ -55,7 +55,7 @@ class Drives:
         self.setpoint = setpoint
 
     def stand(self) -> None:
-        """Keep the setpoint where it is."""
+        """Repeat the present setpoint."""
         self._step = np.zeros_like(self._step)
 
     def brake(self) -> None:

@@ -165,7 +165,7 @@ class Krc:
         return telegram
 
     def receive(self, datagram: bytes, age_s: float = 0.0) -> None:
-        """Take a datagram that came `age_s` after this cycle's telegram was sent; any number in a cycle."""
+        """Process a datagram that arrived `age_s` after this cycle's telegram; a cycle may have any number."""
         self._judge.judge(datagram, age_s)
 
     def _move(self) -> None:

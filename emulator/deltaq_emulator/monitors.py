@@ -78,7 +78,7 @@ class Monitors:
         return None
 
     def of_motion(self, dq: Array, tool_m: float, mode: OperatingMode) -> KrcMessage | None:
-        """Why the robot must not go on moving as it did in the last cycle, if it must not.
+        """The message that stops the robot because of its motion in the last cycle; None if the motion is permitted.
 
         Args:
             dq: (n,) motion of the joints [rad or m].

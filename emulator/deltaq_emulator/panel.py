@@ -160,7 +160,7 @@ class Panel:
             answer(_refused(str(error)))
 
     def cycle_passed(self) -> None:
-        """Answer those whose time has come."""
+        """Answer the waiting requests that are met or timed out."""
         awaiting, self._awaiting = self._awaiting, []
         for one in awaiting:
             self._answer_or_keep(one)

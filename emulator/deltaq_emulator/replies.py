@@ -17,7 +17,7 @@ _RING = 2**32
 
 
 class Reply(StrEnum):
-    """What a datagram turned out to be, or a cycle without a valid one."""
+    """Class of a datagram, or of a cycle without a valid one."""
 
     ACCEPTED = "accepted"
     LATE = "late"
@@ -88,7 +88,7 @@ class ReplyJudge:
             self._answered.popitem(last=False)
 
     def judge(self, datagram: bytes, age_s: float) -> Reply:
-        """Classify a datagram that came `age_s` after the telegram of this cycle, and count it."""
+        """Classify and count a datagram that arrived `age_s` after this cycle's telegram."""
         self._anything_came = True
         try:
             telegram = self._codec.decode(datagram)

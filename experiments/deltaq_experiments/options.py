@@ -51,7 +51,7 @@ class Options:
     record: Path | None = None
 
     def lasting(self, default_s: float) -> Self:
-        """The same with `duration_s` filled in."""
+        """The options with `duration_s` filled in."""
         return self if self.duration_s is not None else replace(self, duration_s=default_s)
 
     @property

@@ -220,7 +220,7 @@ class _Run:
         )
 
     def figures(self) -> ModeFigures:
-        """Do the task, as far as it goes."""
+        """Do the task until its end or its first failure."""
         ways: dict[str, list[Array]] = {}
         undone = ""
         try:

@@ -194,7 +194,7 @@ _WEAK = 0.02
 
 @dataclass(frozen=True)
 class HandGoal:
-    """Where the hand is to be.
+    """A goal for the hand.
 
     Attributes:
         name: of the part of the task that ends there.
@@ -219,13 +219,13 @@ def is_near(error: Array) -> bool:
 
 
 class Late:
-    """What an operator sees: configurations of a reaction ago."""
+    """The operator's delayed view: configurations one reaction time ago."""
 
     def __init__(self, cycle_s: float, reaction_s: float) -> None:
         self._seen: deque[Array] = deque(maxlen=max(1, round(reaction_s / cycle_s)))
 
     def __call__(self, q: Array) -> Array:
-        """The configuration (n,) seen while the robot stands at `q` (n,)."""
+        """The configuration (n,) that the operator sees while the robot is at `q` (n,)."""
         self._seen.append(q)
         return self._seen[0]
 
@@ -269,7 +269,7 @@ class HandOperator:
 
 
 class PostureOperator:
-    """Steers the hand as in decoupled mode, then improves the posture by self-motion before going on to work.
+    """Steers the hand as in decoupled mode, and improves the posture by self-motion before each piece of work.
 
     The base joint that lowers joint travel the most is driven for `POSTURE_S`, once for each goal that is reached from
     afar.
@@ -313,11 +313,11 @@ class PostureOperator:
 
 
 class AdvisedOperator:
-    """Steers the hand as in decoupled mode, and goes to an option of the advisor before going on to work.
+    """Steers the hand as in decoupled mode, and goes to an option of the advisor before each piece of work.
 
-    It is the reachable option with the largest margin to the nearest joint limit, once for each goal
-    that is reached from afar, and wherever the hand is held up; where it is held up again on the path to the same goal,
-    the next one. The advisor's thinking takes no time here.
+    The option is the reachable one with the largest margin to the nearest joint limit. The operator goes to an option
+    once for each distant goal, and whenever a limit stops the hand; if the hand is stopped again on the way to the same
+    goal, the operator goes to the next option. The advisor's search takes no time here.
     """
 
     def __init__(self, teleoperator: Teleoperator, cycle_s: float, reaction_s: float) -> None:
@@ -359,7 +359,7 @@ class AdvisedOperator:
 
 
 class JointOperator:
-    """Drives one joint after the other to where the goal wants it, the one that is farthest off first.
+    """Drives one joint after the other to its goal position, the one farthest away first.
 
     The operator knows that, as with a robot whose points have been taught: a generous assumption.
     """

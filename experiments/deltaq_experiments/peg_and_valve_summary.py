@@ -15,7 +15,7 @@ MOST, FEW = 0.8, 0.2
 
 @dataclass(frozen=True)
 class Figure:
-    """One figure of a run, for people.
+    """One figure of a run, with its name in tables.
 
     Attributes:
         name: with its unit.
@@ -71,7 +71,7 @@ def by_mode(runs: Sequence[ModeFigures]) -> dict[str, list[ModeFigures]]:
 
 
 def distributions(runs: Sequence[ModeFigures]) -> list[dict[str, Any]]:
-    """Of each mode its runs, those that were done, and every figure."""
+    """For each mode: number of runs, number of finished runs, and the distribution of every figure."""
     return [
         {
             "mode": mode,
@@ -85,7 +85,7 @@ def distributions(runs: Sequence[ModeFigures]) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True)
 class Conclusion:
-    """What the paper concludes, and a question that our figures answer.
+    """A conclusion of the paper, and a question about it that the figures answer.
 
     Attributes:
         said: by Hooper and Noakes, section V.
@@ -106,7 +106,7 @@ class Conclusion:
         return sum(self.holds(*(known[seed] for known in seeds)) for seed in common), len(common)
 
     def verdict(self, runs: Runs) -> str:
-        """What the figures say of it."""
+        """The answer of the figures to the question."""
         if not self.asked:
             return "not measured here"
         held, of = self.counted(runs)

@@ -1,4 +1,4 @@
-"""What the camera saw of its target in a recorded run."""
+"""Visibility of the camera's target in a recorded run."""
 
 from __future__ import annotations
 

@@ -104,5 +104,5 @@ def _run(
 
 
 def view_of(views: Mapping[str, RobotView], robot: str) -> View:
-    """What the controller of a robot sees: its own robot, and the others."""
+    """The view of a robot's controller: its own robot, and the others."""
     return View(views[robot], {name: view for name, view in views.items() if name != robot})

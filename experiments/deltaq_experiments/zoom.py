@@ -60,7 +60,7 @@ class ZoomReport(Report):
 
 @dataclass(frozen=True)
 class Views:
-    """What the camera saw, (k,) each."""
+    """The camera's views over time, (k,) each."""
 
     angle_deg: Array
     distance_m: Array

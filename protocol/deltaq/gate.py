@@ -281,7 +281,7 @@ class Gate:
         return Step(decision.dq, tracker.q_cmd + decision.dq, verdict)
 
     def observe(self, q: ArrayLike, robot: str | None = None) -> None:
-        """Take where a robot is measured to be, (n,) [rad or m]; the next step goes by it.
+        """Compare a measured configuration, (n,) [rad or m], with the certified path; the next step uses it.
 
         Off its setpoints of the last `lag_s` by more than the tolerance, the robot is stopped until `reset`.
         """
@@ -289,7 +289,7 @@ class Gate:
         self._arms[name].measured = self._joints(name, "q", q)
 
     def reset(self, q: ArrayLike | Mapping[str, ArrayLike]) -> None:
-        """Begin anew with all robots at rest at `q`, (n,) or by name [rad or m]; the others stay where they are.
+        """Restart with robots at rest at `q`, (n,) or by name [rad or m]; unnamed robots stay where they are.
 
         Raises:
             GateError: `q` is outside the limits, or a body overlaps another there.

@@ -73,7 +73,7 @@ class MotionError(RefusedError):
 
 
 def checked(robot: str, verdict: Verdict, summary: RobotSummary | None = None) -> Verdict:
-    """The verdict, if the increment was admitted as it was asked for.
+    """Return the verdict if the whole increment was admitted; raise otherwise.
 
     Args:
         robot: name of the robot.
@@ -167,7 +167,7 @@ class Motion:
         return end
 
     def take(self, verdict: Verdict) -> None:
-        """A verdict on one of its increments has come.
+        """Take the verdict on one of the motion's increments.
 
         Raises:
             MotionError: it was refused for a reason that does not pass.

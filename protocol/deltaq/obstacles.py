@@ -76,7 +76,7 @@ def positive(name: str, value: float, most: float, remedy: str) -> float:
 
 @dataclass(frozen=True)
 class Obstacle(ABC):
-    """A body that stands in the world.
+    """A body at rest in the world.
 
     Attributes:
         at: position of its frame [m].
@@ -201,7 +201,7 @@ class Mesh(Obstacle):
             raise GateError(f"{name}.mesh", error, "must be a readable mesh with a volume", remedy) from None
 
     def digest(self) -> str:
-        """A hash of hull and pose, by which the gate's fingerprint tells meshes apart."""
+        """A hash of hull and pose for the gate's fingerprint."""
         return hashlib.sha256(repr((self.corners("mesh"), self.at, self.rpy)).encode()).hexdigest()
 
 

@@ -1,4 +1,4 @@
-"""The client for scripts and notebooks: the same verbs without `async`.
+"""The blocking client for scripts and notebooks: the methods of the asyncio client without `async`.
 
     with connect("tcp/127.0.0.1:7447") as cell:
         with cell.lease("fr") as robot:

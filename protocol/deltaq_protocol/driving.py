@@ -165,7 +165,7 @@ class Reach(Message):
 
 
 class ReachJoints(Message):
-    """In mode `pose`: plan the way to a configuration, (n,) [rad or m], as `Reach` does to a pose."""
+    """In mode `pose`: plan the path to a configuration, (n,) [rad or m], as `Reach` does to a pose."""
 
     type: Literal["reach_joints"] = "reach_joints"
     id: RequestId
@@ -194,7 +194,7 @@ class DriverStage(StrEnum):
 
 
 class Search(Message):
-    """The progress of the search for ways, and of the robot on one of them.
+    """Progress of the search for paths, and of the robot on one of them.
 
     `done` is the fraction of the step `doing` that is done. `way` is the rank of the way that was begun, `driven` the
     fraction of its duration that has been driven; `arrived` says that the robot stands at its end. `trade_off`
@@ -284,7 +284,7 @@ class Way(Message):
 
 
 class DriverWays(Message):
-    """All ways that are offered now, sent when they have changed; none after another mode was chosen."""
+    """All paths offered now, sent when they change; none after a change of mode."""
 
     type: Literal["ways"] = "ways"
     mode: DrivingMode

@@ -39,7 +39,7 @@ class MisaddressedError(StaleMessageError):
 
 
 class Envelopes:
-    """Puts one process's messages into envelopes and checks those that it receives; used by one thread.
+    """Puts one process's messages into envelopes and checks received ones; not thread-safe.
 
     Args:
         service: the service that this process is.

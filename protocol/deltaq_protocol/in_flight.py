@@ -70,7 +70,7 @@ class _Account:
 
 
 def is_awaited(state: RobotState) -> bool:
-    """Whether the verdict on an answer to this state comes in time to be waited for."""
+    """Whether the verdict on an answer to this state comes soon enough to wait for it."""
     return state.q_ahead is None and state.playout is None
 
 
@@ -95,7 +95,7 @@ class InFlight:
         self._answered_cycle = cycle
 
     def take(self, verdict: Verdict) -> bool:
-        """A verdict has come; returns whether it is the first on an increment that was not given up.
+        """Take a verdict; returns whether it is the first on an increment that was not abandoned.
 
         Of several on one increment the last counts.
         """

@@ -295,7 +295,7 @@ class LeasedRobot:
         return seq
 
     async def verdicts(self) -> AsyncIterator[Verdict]:
-        """The verdicts on increments sent with `send`, as they come; a reader that is too slow loses the oldest.
+        """Stream of the verdicts on increments sent with `send`; a slow reader loses the oldest.
 
         Of two verdicts on one sequence number the last counts: the admission of the first came too late.
         A verdict that was lost in transit does not come: its sequence number is missing. One reader at a time.
@@ -312,7 +312,7 @@ class LeasedRobot:
                 yield verdict
 
     async def new_verdicts(self) -> list[Verdict]:
-        """The verdicts on increments sent with `send` that have come since the last call; none is waited for.
+        """The verdicts on increments sent with `send` since the last call; does not wait.
 
         As with `verdicts`, of two verdicts on one sequence number the last counts, and a lost verdict is missing.
 
@@ -345,7 +345,7 @@ class LeasedRobot:
         return unpack(IoReply, await self._wire.ask(topics.IO, self._cell, request, self.name, prove=prove))
 
     def take_verdict(self, verdict: Verdict) -> None:
-        """A verdict on this robot has come; `Cell` calls this."""
+        """Take a verdict on this robot; called by `Cell`."""
         if (waiting := self._awaited.get(verdict.seq)) is not None:
             waiting.put_nowait(verdict)
         else:

@@ -1,4 +1,4 @@
-"""The log of a process: lines for people, or one JSON object a line for log collectors.
+"""The log of a process: lines of text, or one JSON object a line for log collectors.
 
 `DELTAQ_LOG_FORMAT=json` chooses the second for every service, controller and emulator. Modules log with the standard
 library; further fields of a line are given as `extra={"fields": {...}}`.

@@ -12,7 +12,7 @@ VIEW_RANGE_M = (0.4, 2.5)
 
 
 class PadFunction(StrEnum):
-    """What a part of a gamepad is for; `robot` and `picture` are the console's alone."""
+    """Function of a gamepad control; only the console has `robot` and `picture`."""
 
     MOVE = "move"
     TURN = "turn"

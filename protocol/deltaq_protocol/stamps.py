@@ -130,7 +130,7 @@ class Stamps:
 
 @dataclass(frozen=True)
 class WrittenStamps:
-    """The stamps of one process, as it wrote them.
+    """The written stamps of one process.
 
     Attributes:
         process: its name.

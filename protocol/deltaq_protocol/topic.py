@@ -181,7 +181,7 @@ class Topic:
         raise ValueError(f"{self.name} has no rate in time, it comes {self.rate_text}")
 
     def steady_hz(self, cycle_s: float) -> float | None:
-        """How often it has to come [1/s]; None where it comes when there is something to say."""
+        """The required rate [1/s]; None for a topic that is published on events."""
         if isinstance(self.rate, Cycles | Hertz) and self.rate.steady:
             return 1.0 / self.rate.period_s(cycle_s)
         return None
@@ -205,5 +205,5 @@ class Topic:
 
     @property
     def rate_text(self) -> str:
-        """How often it comes, for people."""
+        """The rate as text."""
         return "on demand" if self.rate is None else str(self.rate)

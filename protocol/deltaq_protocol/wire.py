@@ -245,7 +245,7 @@ class Newest(Generic[S, T]):
 
 
 def in_order(put: Callable[[zenoh.Sample], None]) -> Callable[[zenoh.Sample], None]:
-    """Pass samples of one stream on to `put`, except a sample that comes after a newer one of its publisher.
+    """Forward samples of one stream to `put`, except those overtaken by a newer one of their publisher.
 
     Zenoh's time stamps show the order; sessions with a datagram link set them. Samples without a stamp come in order.
     """

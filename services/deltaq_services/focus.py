@@ -1,4 +1,4 @@
-"""Where in the world a camera's target is, for people to see it marked."""
+"""Position of a camera's target in the world, to mark it."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from deltaq_protocol.topic import Realm, Topic
 
 @dataclass(frozen=True, slots=True)
 class ClientOrigin:
-    """Whom something comes from, for the audit log.
+    """The sender of a message, for the audit log.
 
     Attributes:
         client: the name that it gives itself.

@@ -15,7 +15,7 @@ _WINDOW_S = 1.0
 
 
 def lags(topic: Topic, cycle_s: float, rate_hz: float | None) -> bool:
-    """Whether a stream that comes `rate_hz` times a second (None: not at all) is slower than the table says."""
+    """Whether a stream of `rate_hz` messages a second (None: none) is slower than the table requires."""
     expected_hz = topic.steady_hz(cycle_s)
     return expected_hz is not None and (rate_hz is None or rate_hz < SLOW * expected_hz)
 
@@ -39,11 +39,11 @@ class Heard(Part):
         )
 
     def at(self, time_s: float) -> None:
-        """A message has come."""
+        """Count a received message."""
         self._times_s.append(time_s)
 
     def fault(self, time_s: float) -> str | None:
-        """The fault of the stream, for people; None if it has none."""
+        """The fault of the stream as text; None if it has none."""
         times_s = self._times_s
         if not times_s:
             return f"{self.name}: no {self._topic.name} yet"

@@ -41,7 +41,7 @@ def service_identity(cell: CellDescription, folder: Path, service: str) -> Ident
 
 
 def identity_faults(cell: CellDescription, folder: Path) -> list[tuple[Severity, str]]:
-    """What is wrong with an identity for a cell, or with those of its services in a folder, or will be soon."""
+    """Present and coming faults of a cell's identity, or of the identities of its services in a folder."""
     found: list[tuple[Severity, str]] = []
     present = [folder / name for name in services(tuple(cell.robots)) if (folder / name).is_dir()]
     for own in present or [folder]:
@@ -66,7 +66,7 @@ def _of_cell(cell: CellDescription, folder: Path) -> Identity:
 
 
 def authority_of_clients(cell: CellDescription, environment: Mapping[str, str]) -> x509.Certificate:
-    """The authority whose operators and controllers an HLI believes: that of a file, or of its own identity.
+    """The authority whose operators and controllers an HLI accepts: from a file, or that of its own identity.
 
     Raises:
         IdentityError: if its certificate is missing, of another cell, or not valid.

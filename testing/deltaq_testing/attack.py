@@ -66,7 +66,7 @@ class Adversary:
         return self._random.uniform(-1.5, 1.5, q_cmd.size) * self._fastest
 
     def _homing(self, q_cmd: Array, target_m: Array) -> Array:
-        """The tool flies at the other robot's tool as fast as it goes."""
+        """Move the tool towards the other robot's tool at full speed."""
         J = self._robot.jacobian(q_cmd)[:3]
         towards = target_m - self._robot.forward(q_cmd)[:3, 3]
         dq = J.T @ np.linalg.solve(J @ J.T + 1e-3 * np.eye(3), towards)

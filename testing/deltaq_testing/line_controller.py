@@ -54,7 +54,7 @@ class ControllerProcess:
         self._received = bytearray()
 
     def start(self) -> None:
-        """Start the program anew and wait until it has connected.
+        """Start or restart the program, and wait until it has connected.
 
         Raises:
             ControllerProcessError: it cannot be started, ends, or does not connect.
@@ -168,7 +168,7 @@ class LineController:
         program.start()
 
     def take(self, message: Message) -> None:
-        """A message of the HLI has come; a state waits for its answer.
+        """Take a message of the HLI; for a state, wait for the program's answer.
 
         Raises:
             ControllerProcessError: the program does not answer.

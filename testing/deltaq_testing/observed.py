@@ -65,7 +65,7 @@ class NothingObservedError(DeltaqError):
 
 @dataclass
 class RobotHistory:
-    """What is recorded of a robot, a row a cycle; the first is before the cell's first cycle.
+    """The record of a robot, one row a cycle; the first row is before the cell's first cycle.
 
     Attributes:
         q: (n,) where it was [rad or m].

@@ -21,7 +21,7 @@ _SECTION = "faults in this run"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Which cell and which seed, where a test says nothing else."""
+    """Add the options for cell and seed of tests without a marker."""
     group = parser.getgroup("deltaq", "faults for robot controllers")
     group.addoption(
         "--deltaq-cell", default="lab", help="cell of tests that name none: a name or a file (lab)"

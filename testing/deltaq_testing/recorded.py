@@ -41,7 +41,7 @@ def virtual_cell(
 
 
 def not_there_yet(path: Path) -> Path:
-    """The path, or where there is such a file already, the same with the next number added to its name."""
+    """The path; if the file exists, the path with the next free number added to its name."""
     numbered = (path.with_stem(f"{path.stem}-{number}") for number in count(2))
     return next(candidate for candidate in chain([path], numbered) if not candidate.exists())
 

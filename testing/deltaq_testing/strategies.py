@@ -56,7 +56,7 @@ def schedules(
 
 
 def in_order(faults: Iterable[TimedFault]) -> tuple[TimedFault, ...]:
-    """The same by the times at which they begin."""
+    """The faults sorted by their start times."""
     return tuple(sorted(faults, key=lambda timed: timed.at_s))
 
 

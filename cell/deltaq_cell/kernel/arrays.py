@@ -1,4 +1,4 @@
-"""What the gate's kernel knows of a cell: arrays that are filled once, and arrays that are written over and over.
+"""Data of the gate's kernel: arrays that are filled once for a cell, and arrays that each call reuses.
 
 Bodies are those of all robots and of the structure, joints those of all robots, each in the order of the cell. All
 lengths are in m, angles in rad, and everything that is placed is in the world.
@@ -68,7 +68,7 @@ class Anatomy(NamedTuple):
 
 
 class Placed(NamedTuple):
-    """Where the robots of a cell are, each somewhere in a span of joint space.
+    """Placements of the robots of a cell, each in a span of joint space.
 
     Attributes:
         rotation: (joints, 3, 3) of the joints' frames.
@@ -145,7 +145,7 @@ class Pairs(NamedTuple):
 
 
 class Findings(NamedTuple):
-    """What a look leaves behind, for as many pairs as a list may have.
+    """Findings of a query, with space for the longest list of pairs.
 
     Attributes:
         room_m: (pairs,) lower bounds of swept distance beyond stop distance, good enough to decide [m].

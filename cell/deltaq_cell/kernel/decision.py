@@ -179,7 +179,7 @@ def _keep_where(
 
 
 class Against(NamedTuple):
-    """What a robot's tube is held against: the structure and itself, then each tube of each other robot.
+    """The bodies that a tube is checked against: structure and the robot itself, then each tube of each other robot.
 
     Attributes:
         points: (k, n) setpoints of all tubes, one tube after the other [rad or m].

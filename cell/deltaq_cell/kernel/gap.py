@@ -29,7 +29,7 @@ _SHARE = 0.01
 
 @inlined
 def body_at(cell: Anatomy, placed: Placed, number: int) -> PlacedBody:
-    """A body where it is placed."""
+    """A body at its placement."""
     axis = placed.axis[number]
     return PlacedBody(
         placed.corners[number],

@@ -146,7 +146,7 @@ def want(stack: Stack, row: int, pairs: Pairs) -> None:
 
 @inlined
 def lay_box(stack: Stack, row: int, side: int, tube: Tube) -> None:
-    """Lay the box of a piece of windows around their setpoints; that of a part of a span is as it is."""
+    """Compute the box around the setpoints of a piece; the box of a divided span is kept."""
     if stack.window[row, side, 0] != _SPAN:
         start, end = _setpoints(stack, row, side, tube)
         points, half = tube.points[start:end], stack.half[row, side]
@@ -157,7 +157,7 @@ def lay_box(stack: Stack, row: int, side: int, tube: Tube) -> None:
 
 @inlined
 def lay_span(stack: Stack, row: int, side: int, tube: Tube) -> None:
-    """Lay the span of a piece within its box, unless it is laid."""
+    """Compute the span of a piece within its box, unless it exists."""
     if stack.vertices[row, side] == 0:
         start, end = _setpoints(stack, row, side, tube)
         points, deviation = tube.points[start:end], stack.deviation[row, side]
@@ -194,7 +194,7 @@ def divides(stack: Stack, row: int, side: int, tube: Tube) -> bool:
 
 @inlined
 def divide(stack: Stack, row: int, side: int, tube: Tube, serial: int) -> None:
-    """Put the second half of a piece on the row above, with the same piece of the other robot; the first stays.
+    """Divide a piece: the second half goes to the next row, with the same piece of the other robot; the first stays.
 
     The halves get the number `serial` and the next.
     """

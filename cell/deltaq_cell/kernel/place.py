@@ -1,4 +1,4 @@
-"""The kernel's kinematics: where a robot's bodies are, and how far they can travel within a box of joint space.
+"""The kernel's kinematics: placements of a robot's bodies, and their greatest travel within a box of joint space.
 
 The same as `deltaq_cell.bodies` and pinocchio say. A body travels at most `sum_j half_j * r_j`
 (`deltaq_cell.proximity`).

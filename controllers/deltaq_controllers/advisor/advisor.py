@@ -183,7 +183,7 @@ def advise(
 
 
 class _Answer:
-    """One answer as it becomes known."""
+    """One answer of the advisor, filled in step by step."""
 
     def __init__(
         self,
@@ -343,6 +343,6 @@ def kept_of(found: Sequence[Option], count: int) -> list[Option]:
 
 
 def hands_are_there(problem: AdvisorProblem, q: Array) -> bool:
-    """Whether the hands are where the task has them at `q` (n,)."""
+    """Whether the hands have the task's poses at `q` (n,)."""
     off = problem.tracker.hands(q) - problem.poses
     return bool(np.abs(off[:, :3, 3]).max() < THERE_M and np.abs(off[:, :3, :3]).max() < THERE_RAD)

@@ -147,7 +147,7 @@ class Space(Protocol):
 
 
 class HandsKept:
-    """Self-motions: the base is free, and the arms keep the hands where they are.
+    """Self-motions: the base joints move freely, and the arms keep the hands in place.
 
     Args:
         tracker: of the robot.

@@ -1,4 +1,4 @@
-"""What the advisor minimises: a weighted sum of criteria over the free joints, with the hands in place.
+"""The advisor's objective: a weighted sum of criteria over the free joints, with the hands in place.
 
 Hooper and Noakes, III-B and III-C: constraint tracking leaves the base joints free (5 of 17 on a DAWM), and a trial
 that exceeds a limit, cannot reach or collides is rejected at once.
@@ -33,7 +33,7 @@ class AdvisorError(DeltaqError):
 
 
 class NotRedundantError(AdvisorError):
-    """A robot without a joint to spare, whose hand is to stay where it is."""
+    """A non-redundant robot with its hand in place: there is nothing to advise on."""
 
 
 @dataclass(frozen=True)

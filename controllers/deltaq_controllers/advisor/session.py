@@ -191,7 +191,7 @@ class SynchronousAdvisor:
         self._counsel.seek(back, rank, {}, self._take)
 
     def give_up(self) -> None:
-        """Nothing is going on."""
+        """Nothing to do: the search is synchronous."""
 
     def _take(self, progress: Progress) -> bool:
         self.progress = progress

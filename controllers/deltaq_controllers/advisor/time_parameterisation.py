@@ -19,7 +19,7 @@ TAKEN_BACK_CYCLES = 20.0
 
 
 def timed(path: Array, tracker: ConstraintTracker, cycle_s: float, hands_move: bool = False) -> Array:
-    """Setpoints of every cycle, with the hands exactly as at the path's start unless they are to move.
+    """Setpoints of every cycle, with the hands exactly at their poses at the path's start unless they move.
 
     Over the path's length s the speed is bounded by the joints' speeds, `|q'| v <= share v_max`, and their
     accelerations, half of which go to bends, `|q''| v^2`, and half to speeding up and slowing down, `|q'| dv/dt`.

@@ -55,7 +55,7 @@ class Look(NamedTuple):
 
 
 class CameraPose(NamedTuple):
-    """Where the camera is, and how the joints move it: `Kinematics.rotation`, `position` and `twists`."""
+    """Pose and velocities of the camera: `Kinematics.rotation`, `position` and `twists`."""
 
     rotation: Array
     position: Array

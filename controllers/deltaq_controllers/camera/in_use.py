@@ -154,7 +154,7 @@ class CameraInUse:
 
     @property
     def target(self) -> ViewTarget:
-        """What is looked at."""
+        """The present target."""
         return self._targets[self._choice.chosen]
 
     @property
@@ -224,12 +224,12 @@ class CameraInUse:
 
 
 def _is_known(robot: RobotView | None, time_s: float) -> bool:
-    """Whether it is known where a robot is."""
+    """Whether the position of a robot is known."""
     return robot is not None and time_s - robot.time_s <= LOST_S
 
 
 def _target_of(camera: FocusController, leader: str) -> ViewTarget:
-    """What a controller was made to look at."""
+    """The target given to a controller."""
     if not isinstance(camera, Aiming):
         return ViewTarget(leader=leader)
     if camera.focus is not None:

@@ -26,7 +26,7 @@ from deltaq_protocol.arrays import Array
 
 
 class CameraGoal(NamedTuple):
-    """What the field is for.
+    """The goal of the field.
 
     Attributes:
         focus: (3,) point to look at, in the world [m].

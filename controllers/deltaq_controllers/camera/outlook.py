@@ -1,4 +1,4 @@
-"""What hides a target from a camera where it is now, for the choice among targets and for people."""
+"""The bodies that hide a target from a camera at its present pose."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from deltaq_protocol.messages.motion import AIM_M
 
 @dataclass(frozen=True)
 class Visibility:
-    """What the eyes of a camera see of a point, left before right; a camera without a baseline has one eye.
+    """Visibility of a point for each eye of a camera, left before right; a camera without a baseline has one eye.
 
     Attributes:
         in_picture: of each eye, whether the point is within its picture.
@@ -69,7 +69,7 @@ class VisibilityGauge:
         self._eyes_m = (-half, half) if half else (0.0,)
 
     def look(self, configurations: Mapping[str, Array], target: Array) -> Visibility:
-        """What the camera sees of a point.
+        """The visibility of a point.
 
         Args:
             configurations: (n,) of each robot of the cell [rad or m]; an omitted robot stays where it was.

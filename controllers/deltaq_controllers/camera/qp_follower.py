@@ -50,7 +50,7 @@ MOST_PAIRS = 16
 
 
 class Withdrawal(NamedTuple):
-    """What gets the arm out of the way, and the weights of all tasks meanwhile."""
+    """A task that withdraws the arm, and the weights of all tasks during it."""
 
     evasion: Evasion
     gains: TaskGains

@@ -1,4 +1,4 @@
-"""What a camera controller knows of its cell before it starts."""
+"""The cell of a camera controller, and the roles of its robots."""
 
 from __future__ import annotations
 

@@ -25,11 +25,11 @@ class RobotData:
     """Data that criteria use of a robot beyond its configuration.
 
     Args:
-        cell: model of the cell, for the bodies about.
+        cell: model of the cell, for the bodies around the robot.
         robot: name of the robot.
         stiffness: (n,) of the joints [N m/rad or N/m]; stand-ins if not given.
-        kinematics: of the robot, where there is one already.
-        others: (n,) configuration of each other robot that counts as a body about; none if not given.
+        kinematics: of the robot; made if not given.
+        others: (n,) configuration of each other robot whose bodies count; none if not given.
     """
 
     def __init__(
@@ -81,12 +81,12 @@ class Postures:
 
     @cached_property
     def near(self) -> MeasuredPairs:
-        """The nearest pairs of bodies of each."""
+        """The nearest pairs of bodies of each configuration, e pairs in total."""
         return self.data.bodies.near(self.q)
 
     @cached_property
     def near_rates(self) -> Array:
-        """(e, n) change of the distance of each near pair by the joints, its nearest points carried along."""
+        """(e, n) derivative of the distance of each pair of `near` with respect to the joints [m/rad or 1]."""
         near, kinematics = self.near, self.data.kinematics
         rates = np.zeros((len(near.row), self.q.shape[1]))
         if not len(near.row):

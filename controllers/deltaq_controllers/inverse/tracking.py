@@ -1,4 +1,4 @@
-"""Constraint tracking: the joints of the arms follow from those of the base, so that the hands stay where they are.
+"""Constraint tracking: computes the arms' joints from the base joints, so that the hands stay in place.
 
 Hooper and Noakes, III-B, `n-6_nT = 0_(n-6)T^-1 0_nT` (printed with n-5, see the errata): with the hands' poses given
 only the joints outside six of each chain are free, as a rule those before the last six. A DAWM keeps 5 of 17, a KR 16

@@ -72,7 +72,7 @@ def staging_box(model: RobotModel) -> Workspace:
 
 
 class AttackingLeader:
-    """Moves a robot's tool at another robot, withdraws, and comes again.
+    """Moves a robot's tool at another robot, withdraws, and repeats.
 
     Args:
         model: the robot; any number of joints from six on.

@@ -119,7 +119,7 @@ class Joystick:
         return self.velocity
 
     def give_up(self) -> None:
-        """Let go of the stick and steer to another point next."""
+        """Release the stick, and steer to another point next."""
         self._point = None
         self.velocity = np.zeros(3)
 

@@ -76,13 +76,13 @@ class Advisor(Protocol):
 
     @property
     def progress(self) -> Progress | None:
-        """What is known by now; None before anything is."""
+        """The options known so far; None before the first."""
         ...
 
     def ask(
         self, q: Array, trade_off: tuple[str, str] | None = None, hands_may_leave: bool = False, /
     ) -> None:
-        """Begin to look for options that keep the hands where they are at `q` (n,), or for those of a trade-off."""
+        """Start a search from `q` (n,) for options that keep the hands in place, or for those of a trade-off."""
         ...
 
     def seek(self, back: Array, rank: int, /) -> None:
@@ -90,7 +90,7 @@ class Advisor(Protocol):
         ...
 
     def give_up(self) -> None:
-        """End the search; what is known stays known."""
+        """End the search; options found so far are kept."""
         ...
 
 
@@ -146,12 +146,12 @@ class AdvisorMode(SteppedMode):
 
     @property
     def driven(self) -> float:
-        """Fraction of the duration of that path that lies behind the robot."""
+        """Completed fraction of the duration of that path."""
         return self._route.done if self._route is not None else 0.0
 
     @property
     def is_at_end(self) -> bool:
-        """Whether the robot stands at the end of that path."""
+        """Whether the robot rests at the end of that path."""
         return self._route is not None and bool(np.abs(self._q - self._route.end).max() < ARRIVED)
 
     @property
@@ -183,7 +183,7 @@ class AdvisorMode(SteppedMode):
 
     @property
     def arrived_at(self) -> int | None:
-        """The option that was chosen, once the robot stands there."""
+        """The chosen option, once the robot has reached it."""
         return self._driven if self._driven == self._wanted and self.is_at_end else None
 
     @property

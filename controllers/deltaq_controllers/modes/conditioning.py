@@ -120,7 +120,7 @@ def _applied(factor: Array, rows: Array, shares: Array, right: Array) -> Array:
 
 @compiled
 def kept_share(motion: Array, mobility: float, ahead: float, max_acceleration: Array) -> float:
-    """The share of the way's rates from which it can be ended before the mobility is used up.
+    """The fraction of the requested rates from which the robot can stop before the mobility is used up.
 
     Args:
         motion: (n,) joint rates that do it [rad/s or m/s].

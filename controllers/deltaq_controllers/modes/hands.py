@@ -1,4 +1,4 @@
-"""A robot's hands: where they are, how they move with the joints, and which joints carry which."""
+"""A robot's hands: poses, Jacobians, and the joints that carry each."""
 
 from __future__ import annotations
 
@@ -169,7 +169,7 @@ def turned(rotations: Array, angles: Array) -> Array:
 
 
 class HeldObject:
-    """Where the hands hold an object. Its origin is midway between them, its axes were the world's when it was taken.
+    """The grasp of an object: its origin is midway between the hands, its axes were the world's when it was taken.
 
     Args:
         rotations: (h, 3, 3) axes of the hands in the world as they take it.
@@ -244,7 +244,7 @@ def kept_while_braked(hands: Hands, q: Array, rates: Array, max_acceleration: Ar
 
 
 def allowed_while_braked(hands: Hands, q: Array, rates: Array, max_acceleration: Array) -> float:
-    """By how much the rates of a self-motion may be multiplied for a brake to leave the hands where they are.
+    """The factor by which the rates of a self-motion may be multiplied so that a brake keeps the hands in place.
 
     The error of the hands after a straight brake grows with the square of the brake's length, and that length with the
     square of the speed.

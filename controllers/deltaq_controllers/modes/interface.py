@@ -249,7 +249,7 @@ class TeleoperationMode(Protocol):
 
     @property
     def arrived_at(self) -> int | None:
-        """The option that the robot stands at."""
+        """The option at which the robot rests; None elsewhere."""
         return None
 
     @property
@@ -262,7 +262,7 @@ class TeleoperationMode(Protocol):
         return self
 
     def enter(self, q: Array) -> None:
-        """The robot stands at `q` (n,) and this mode takes over."""
+        """Start this mode with the robot at rest at `q` (n,)."""
         del q
 
     def leave(self) -> None:

@@ -148,7 +148,7 @@ def next_brake(limits: IncrementLimits, q: Array, brake: Array, cycles: int) -> 
 
 @compiled
 def admits(limits: IncrementLimits, q: Array, dq: Array, dq_last: Array) -> bool:
-    """Whether an increment is admissible as it is: `IncrementLimits.admissible` would give it back.
+    """Whether an increment is admissible: `IncrementLimits.admissible` would return it unchanged.
 
     Args:
         limits: of the increments.
@@ -173,7 +173,7 @@ def admits(limits: IncrementLimits, q: Array, dq: Array, dq_last: Array) -> bool
 
 @compiled
 def can_rest(box: Box, dq_last: Array, max_jerk: Array) -> bool:
-    """Whether all joints may stand in the next cycle, and stay so in the one after it."""
+    """Whether all joints may be at rest in the next cycle, and in the one after it."""
     for joint in range(len(dq_last)):
         low = max(box.slowest[joint], box.approach_down[joint])
         high = min(box.fastest[joint], box.approach_up[joint])

@@ -86,7 +86,7 @@ TAKEN_BACK_M_S, TAKEN_BACK_RAD_S = 2e-3, 2e-3
 
 
 class Line:
-    """The poses that the hands are to have, cycle after cycle.
+    """The line: the desired poses of the hands in each cycle.
 
     Attributes:
         is_set: whether there is one.
@@ -102,7 +102,7 @@ class Line:
         return self._rotations is not None
 
     def begin(self, hands: Hands, held: HeldObject | None = None) -> None:
-        """The line begins where the hands are, or where they keep the object that they hold."""
+        """Start the line at the present poses of the hands, or at those that keep the held object."""
         self._rotations, self._positions = hands.rotations.copy(), hands.positions.copy()
         self._keep(held)
 
@@ -121,7 +121,7 @@ class Line:
         return _back(hands.rotations, hands.positions, self._rotations, self._positions, most_m, most_rad)
 
     def go(self, way: Array, held: HeldObject | None = None) -> None:
-        """The hands are to go on by displacements (h, 6) [m, rad], and to keep the object that they hold."""
+        """Advance the desired poses by displacements (h, 6) [m, rad], keeping the held object."""
         assert self._rotations is not None  # begun
         self._rotations, self._positions = _gone(self._rotations, self._positions, way)
         self._keep(held)

@@ -192,7 +192,7 @@ class SteppedMode(TeleoperationMode):
         return None
 
     def enter(self, q: Array) -> None:
-        """The robot stands at `q` (n,), and no motion goes on."""
+        """Start this mode with the robot at rest at `q` (n,)."""
         self._motion, self._dq = Motion.rest(*self._motion.shape), np.zeros_like(q)
 
     def advance(self, instant: Instant, asked: Motion) -> Advance:

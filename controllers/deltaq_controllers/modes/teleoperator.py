@@ -237,7 +237,7 @@ class Teleoperator:
 
     @property
     def arrived_at(self) -> int | None:
-        """The advisor's option that the robot stands at."""
+        """The advisor's option at which the robot rests; None elsewhere."""
         return self._mode.arrived_at
 
     @property

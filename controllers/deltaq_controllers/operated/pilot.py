@@ -131,7 +131,7 @@ class Pilot:
     def advise(
         self, *, again: bool, trade_off: tuple[str, str] | None = None, hands_may_leave: bool = False
     ) -> None:
-        """Have options looked for from where the robot comes to rest, or end the search and forget the choice.
+        """Search options from the robot's rest position, or end the search and forget the choice.
 
         Args:
             again: look for options.
@@ -165,7 +165,7 @@ class Pilot:
             raise ControllerError("the robot moves: let it come to rest, and choose the pose then")
 
     def plan(self, reach: Reach | ReachJoints, q: Array, others: Mapping[str, Array]) -> PlannedReach:
-        """The way to a pose or a configuration, in mode pose; any thread may.
+        """Plan the path to a pose or a configuration, in mode pose; callable from any thread.
 
         Args:
             reach: the pose, or the configuration.
@@ -230,7 +230,7 @@ class Pilot:
         self.leave()
 
     def leave(self) -> None:
-        """The robot is to come to rest and be left."""
+        """Bring the robot to rest, and end."""
         self.rest()
         if self._mode is DrivingMode.FOLLOW:
             self._mode = self._teleoperator.mode
@@ -238,7 +238,7 @@ class Pilot:
         self._when_still = None
 
     def increment(self, view: View, is_still: bool, now_s: float) -> Array | None:
-        """The increment for this cycle, (n,) [rad or m]; None if the robot is at rest and is to stay so.
+        """The increment for this cycle, (n,) [rad or m]; None if the robot is at rest and stays there.
 
         Args:
             view: of the cell.
@@ -331,7 +331,7 @@ class Pilot:
         return round(self._active.reflection.share, 1)
 
     def ways(self) -> DriverWays:
-        """The ways that are offered now; equal to those before where nothing has changed."""
+        """The paths offered now; equal to the previous value if nothing has changed."""
         offers = self._offers
         source: object = None if offers is None else offers.options if self._reach is None else self._reach
         if source is not self._ways[0] or self._ways[1].mode is not self._mode:

@@ -1,4 +1,4 @@
-"""The way to a pose of a hand, straight in the joints, and how far it is clear on a copy of the cell."""
+"""Path to a pose of a hand, straight in joint space, and its clear part, computed on a copy of the cell."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def advisor_of(teleoperator: Teleoperator) -> AdvisorMode | None:
 
 
 def search_of(mode: AdvisorMode) -> Search:
-    """How far the search of an advisor's mode is, and the robot on the way that was begun."""
+    """Progress of the search of mode advisor, and of the robot on the chosen path."""
     progress = mode.search
     return Search(
         doing="" if progress is None else progress.doing,
@@ -107,7 +107,7 @@ class PlannedReach:
 
 
 class ReachPlanner:
-    """Plans ways of one robot of a cell, the other robots standing still.
+    """Plans paths of one robot of a cell, with the other robots at rest.
 
     Args:
         cell: a copy of the model, for this planner alone.
@@ -154,7 +154,7 @@ class ReachPlanner:
         position_m: tuple[float, float, float],
         quaternion_wxyz: tuple[float, float, float, float],
     ) -> PlannedReach:
-        """The way of a hand to a pose in the world; other hands do not move.
+        """Plan the path of a hand to a pose in the world; other hands do not move.
 
         Args:
             q: (n,) setpoint at which the robot rests.
@@ -184,7 +184,7 @@ class ReachPlanner:
         return self._planned(*best)
 
     def plan_joints(self, q: Array, others: Mapping[str, Array], end: Sequence[float]) -> PlannedReach:
-        """The way to a configuration.
+        """Plan the path to a configuration.
 
         Args:
             q: (n,) setpoint at which the robot rests.

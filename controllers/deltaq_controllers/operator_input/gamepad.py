@@ -127,7 +127,7 @@ class PadDevice:
         self._is_rumbling = False
 
     def look(self, time_s: float) -> PadState | None:
-        """How the pad stands at a time [s]; None while no pad is plugged in."""
+        """State of the gamepad at a time [s]; None while no pad is plugged in."""
         events = self._pygame.event.get()
         if self._pad is not None and not self._pad.attached():
             self._lose()

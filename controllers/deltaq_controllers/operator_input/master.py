@@ -59,13 +59,13 @@ class _Anchor:
 
 
 class LedPose:
-    """Leads a hand by a master's tool: its way since they were coupled, scaled, is the hand's.
+    """Leads a hand by a master's tool: the hand makes the tool's displacement since coupling, times a scale.
 
-    Displacements are scaled, rotations are not. Both are in world axes, or with `own_axes` each in those that its tool
-    had then.
+    Displacements are scaled, rotations are not. Both are in world axes, or with `own_axes` each in the axes of its own
+    tool at the coupling.
 
     Args:
-        scale: way of the hand for each metre of the master's.
+        scale: displacement of the hand for each metre of the master's.
     """
 
     def __init__(self, scale: float) -> None:
@@ -80,17 +80,17 @@ class LedPose:
         return self._anchor is not None
 
     def release(self) -> None:
-        """Lead the hand no more."""
+        """Uncouple the hand."""
         self._anchor = self._seen = None
         self._twist = np.zeros(6)
 
     def couple(self, master: PlacedTool, hand: PlacedTool, own_axes: bool) -> None:
-        """Lead the hand from where both are now.
+        """Couple the hand to the master at their present poses.
 
         Args:
             master: its tool, as measured.
             hand: the led hand, as commanded.
-            own_axes: the master's way in the axes of its tool is the hand's in its own.
+            own_axes: map the displacement from the axes of the master's tool to those of the hand.
         """
         self.release()
         self._anchor = _Anchor(master, hand, hand.rotation @ master.rotation.T if own_axes else np.eye(3))
@@ -101,7 +101,7 @@ class LedPose:
         Args:
             time_s: stamp of the master's pose on its own clock [s].
             master: its tool, as measured.
-            hand: that is led, as commanded.
+            hand: the led hand, as commanded.
         """
         anchor = self._anchor
         assert anchor is not None  # coupled
@@ -167,9 +167,9 @@ def looking_at(cell: Cell, master: str, robot: str) -> LookAtBoth:
 
 
 class Master:
-    """The rates of a hand from the measured motion of another robot's tool, while commands have it led.
+    """Computes the rates of a hand from the measured motion of another robot's tool, while commands ask for it.
 
-    A master leads once it was seen at rest. If it jumps or its states stop, it is uncoupled until the operator
+    A master leads only after it has been at rest. If it jumps or its states stop, it is uncoupled until the operator
     couples it again.
 
     Args:
@@ -204,14 +204,14 @@ class Master:
 
     @property
     def status(self) -> str:
-        """Whether it leads, and why not."""
+        """Text: whether the master leads, and if not, why."""
         led = "leads" if self._led.is_coupled else self._trouble or "is not coupled"
         return f"{self.name} {led}"
 
     def lead(self, command: OperatorCommand, time_s: float) -> OperatorCommand:
-        """The command at a time of the driven robot's clock [s], the master's rates in it if it has a hand led.
+        """Put the master's rates into a command that has its hand led; other commands are returned unchanged.
 
-        To be asked for in every cycle, led or not.
+        Call it in every cycle, led or not, with the time of the driven robot's clock [s].
         """
         if command.led is None:
             self._must_release, self._trouble = False, ""

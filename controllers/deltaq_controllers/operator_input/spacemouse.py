@@ -47,7 +47,7 @@ _PLACES = (1, 0, 2, 4, 3, 5)
 
 @dataclass(frozen=True)
 class SixAxisState:
-    """How a controller stands.
+    """State of a 6-axis controller.
 
     Attributes:
         rates: deflection along and about each axis of a hand, from -1 to 1; x is ahead, y left, z up.

@@ -188,7 +188,7 @@ class RosSide:
 
 
 class Bridge:
-    """Publishes the joint states of every robot of a cell, and moves those that it may.
+    """Publishes the joint states of every robot of a cell, and executes trajectories for the permitted robots.
 
     Args:
         hli: where the cell's HLI listens, e.g. `tcp/127.0.0.1:7447`.

@@ -1,4 +1,4 @@
-"""The two ROS messages that the bridge speaks, and those that they are made of.
+"""CDR coding of the two ROS messages of the bridge, and of the messages that they contain.
 
 Names, types and order of the fields are those of the public interface definitions: `builtin_interfaces`, `std_msgs`,
 `sensor_msgs` and `trajectory_msgs`. Joint quantities are in rad and m, rad/s and m/s, rad/s^2 and m/s^2, N m and N.
@@ -322,7 +322,7 @@ class JointTrajectory:
 
     @classmethod
     def decode(cls, message: bytes) -> Self:
-        """The same from CDR; raises `RefusedMessageError`."""
+        """Decode one from CDR; raises `RefusedMessageError`."""
         if len(message) > MAX_MESSAGE_BYTES:
             size = f"{len(message)} bytes long"
             raise RefusedMessageError("too_long", "message", size, f"{MAX_MESSAGE_BYTES} or less")

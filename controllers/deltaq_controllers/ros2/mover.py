@@ -122,7 +122,7 @@ class TrajectoryEnding(StrEnum):
 
 
 class TrajectoryFollower:
-    """Makes the increments of one trajectory, which begins where the robot rests.
+    """Makes the increments of one trajectory, which begins at the robot's rest position.
 
     Args:
         trajectory: to be followed.
@@ -151,7 +151,7 @@ class TrajectoryFollower:
 
     @property
     def done(self) -> float:
-        """Share of the path's time that lies behind the robot, 0 to 1."""
+        """Completed fraction of the path's time, 0 to 1."""
         return self._at_s / self.path.duration_s
 
     def stop(self) -> None:
@@ -389,12 +389,12 @@ class TrajectoryMover:
         return bool(in_flight <= _NOTHING) or self._resting_cycles * self._cycle_s > _LONGEST_REST_S
 
     def judged(self, verdict: Verdict | None) -> None:
-        """A verdict has come on an increment, or None never will."""
+        """Take the verdict on an increment; None if it was lost."""
         if verdict is not None and verdict.outcome is not Outcome.ADMITTED:
             self._limited_by = verdict.reasons
 
     def lose(self, why: str) -> None:
-        """The robot is lost: end the present and the waiting trajectories; `why` is for people."""
+        """End the present and the waiting trajectories, because the robot is lost; `why` goes to the log."""
         if self.has_work:
             self._driven = self._waiting = None
             self.counters["ended_lost"] += 1

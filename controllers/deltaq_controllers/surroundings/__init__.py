@@ -1,1 +1,1 @@
-"""What is near a robot: distances, how the joints change them, where the other robots will be, and barriers to keep."""
+"""Surroundings of a robot: distances, their Jacobians, predicted positions of other robots, and barriers."""

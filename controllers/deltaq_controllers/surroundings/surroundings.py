@@ -1,4 +1,4 @@
-"""What a robot keeps clear of by itself, so that the gate need not stop it: barriers for its next increment."""
+"""Barriers for a robot's next increment, so that it keeps clear before the gate has to stop it."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Near(NamedTuple):
 
 
 class RobotSurroundings:
-    """The rest of a cell, the robot's own bodies among it, as one robot sees it.
+    """The bodies of a cell near one robot, its own included.
 
     Pairs that a contact of the cell names are left to the gate: only it knows whether they may touch.
 

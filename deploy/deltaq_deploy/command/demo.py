@@ -207,7 +207,7 @@ NEXT = (
 
 
 def in_words(summary: dict[str, Any]) -> tuple[str, ...]:
-    """What a demonstration has shown, in four lines."""
+    """The result of a demonstration, as four lines of text."""
     gate = summary["gate"]
     counts = {name: gate.get(name, 0) for name in ("admitted", "scaled", "held", "refused")}
     missed = [

@@ -64,7 +64,7 @@ def _told(error: DeltaqError) -> dict[str, Any]:
 
 
 def show(summary: dict[str, Any]) -> None:
-    """The drive as a table, for people."""
+    """Print the drive as a table."""
     from deltaq_deploy.command.console import counts, print_table
 
     rows = [
@@ -167,7 +167,7 @@ def bar(share: float) -> str:
 
 
 def option_line(rank: int, option: Option) -> str:
-    """An option in a line, for people."""
+    """An option as one line of text."""
     clearance = f"{1000 * option.clearance.distance_m:.0f} mm between {' and '.join(option.clearance.pair)}"
     limit = f"{option.nearest_limit} {100 * option.limit_share:.0f} % from its limit"
     if option.path is not None:

@@ -38,7 +38,7 @@ def by_name(name: str) -> Topic:
 
 
 def open_streams() -> tuple[Topic, ...]:
-    """What a client can watch: the streams of the open realm that the table lets clients read."""
+    """The streams that a client can watch: those of the open realm that the table of topics permits."""
     from deltaq_protocol.topic import Kind, Party, Realm
     from deltaq_protocol.topics import TOPICS
 

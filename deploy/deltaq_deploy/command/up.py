@@ -149,7 +149,7 @@ def audit_file_of(wanted: str, cell: str) -> tuple[Path | None, str]:
 
 
 def tell_of_console(launcher: Launcher, wanted: bool) -> str | None:
-    """Say where the console is, or why there is none; returns its address for this machine's browser."""
+    """Print the console's address, or why there is none; returns its address for this machine's browser."""
     for service in launcher.services:
         if service.name == "console" and service.name in launcher.ready and service.endpoint is not None:
             token = launcher.console_token

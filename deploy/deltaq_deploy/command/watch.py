@@ -196,7 +196,7 @@ def _health(service: str, cell: str, json: bool) -> None:
 
 
 def shown(answer: Status, cell: Description, verbose: bool) -> Group:
-    """A status for people; `verbose` adds counters and the drives' lag."""
+    """Print a status as text; `verbose` adds counters and the drives' lag."""
     from rich.console import Group
     from rich.text import Text
 

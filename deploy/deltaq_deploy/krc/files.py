@@ -1,4 +1,4 @@
-"""Which files a KRC needs, where they belong on it, and how they get into a folder here."""
+"""The files of a KRC: their texts, their destination on the controller, and writing them into a folder."""
 
 from __future__ import annotations
 

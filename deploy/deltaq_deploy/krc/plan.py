@@ -38,7 +38,7 @@ class KrcFilesError(DeltaqError):
 
 
 class Start(StrEnum):
-    """Where the robot is when RSI starts; corrections count from there."""
+    """Position of the robot at the start of RSI; corrections count from it."""
 
     HOME = "home"
     HERE = "here"
@@ -99,7 +99,7 @@ class Signal:
 
 @dataclass(frozen=True)
 class KrcPlan:
-    """What the files of one robot's KRC have to say.
+    """The contents of the files of one robot's KRC.
 
     Attributes:
         cell: the cell's name.

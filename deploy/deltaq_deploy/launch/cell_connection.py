@@ -120,7 +120,7 @@ class Listener:
 
 
 def describe(where: Where, client: str) -> Description:
-    """What the HLI of a running cell says of it.
+    """The description of a running cell, from its HLI.
 
     Raises:
         ServiceUnreachableError: if no HLI is there.

@@ -1,4 +1,4 @@
-"""How fit this machine is to run a cell: the checks of `deltaq doctor`."""
+"""The checks of `deltaq doctor`: whether this machine is fit to run a cell."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a program of deltaq tells the shell that started it. Imports nothing: it is read before anything can fail."""
+"""Exit statuses of deltaq's programs. Imports nothing: it is read before anything can fail."""
 
 DONE = 0
 BAD = 1

@@ -36,7 +36,7 @@ def console_needs_token(environment: Mapping[str, str] = os.environ) -> bool:
 
 
 def controllers_token(environment: Mapping[str, str]) -> dict[str, str]:
-    """What shows the role of a launch's own controllers: the controllers' token, unless its clients show another."""
+    """Environment variables with the token of a launch's own controllers; empty if its clients have another."""
     if environment_has_role(environment):
         return {}
     given = {CLIENT_TOKEN: CONTROLLER_TOKEN, f"{CLIENT_TOKEN}_FILE": f"{CONTROLLER_TOKEN}_FILE"}
@@ -62,13 +62,13 @@ class ConsoleToken:
         _write_anew(self.file, token)
 
     def page(self, address: str) -> str:
-        """What a browser of this user opens, and is led on by: a file, since all users see a program's arguments."""
+        """The `file:` address of a private page that forwards the user's browser to `address` with the token."""
         page = self.file.with_suffix(".html")
         _write_anew(page, f'<meta http-equiv="refresh" content="0;url={address}{self.query}">')
         return page.as_uri()
 
     def close(self) -> None:
-        """The console has ended."""
+        """Delete the token file; the console has ended."""
         for file in (self.file, self.file.with_suffix(".html")):
             file.unlink(missing_ok=True)
 

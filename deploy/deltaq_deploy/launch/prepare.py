@@ -35,7 +35,7 @@ NOWHERE = "no folder for machine code is writable: every start compiles again; X
 
 @dataclass(frozen=True)
 class Needed:
-    """What is to be compiled.
+    """The functions to compile.
 
     Attributes:
         controllers: names of camera controllers that come with the project, if any are to run.

@@ -16,7 +16,7 @@ class LaunchError(DeltaqError):
 
 
 class LaunchInterruptedError(DeltaqError):
-    """Somebody asked to stop while services were still starting."""
+    """A signal arrived while services were still starting."""
 
 
 def exit_status(error: DeltaqError) -> int:

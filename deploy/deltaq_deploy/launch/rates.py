@@ -36,7 +36,7 @@ class Regularity:
 
 
 def rate_of(times_s: list[float]) -> Regularity:
-    """Regularity of messages that came at `times_s`, in order [s]."""
+    """Rate and regularity of messages that arrived at `times_s`, ascending [s]."""
     if len(times_s) < 2:
         return Regularity(len(times_s), None, None, None, None)
     periods = sorted(after - before for before, after in itertools.pairwise(times_s))

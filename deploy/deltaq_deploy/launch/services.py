@@ -19,7 +19,7 @@ from deltaq_services.guarded_realm import realm_of
 
 
 class Role(StrEnum):
-    """What a service does."""
+    """The role of a service."""
 
     ROBOT_SERVER = "robot-server"
     EMULATOR = "emulator"

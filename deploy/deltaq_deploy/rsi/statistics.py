@@ -24,7 +24,7 @@ _DECIMALS = re.compile(rb"[-+]?[0-9]+\.([0-9]+)")
 
 @dataclass(frozen=True)
 class Seen:
-    """What is in a datagram.
+    """The contents of a datagram.
 
     Attributes:
         ipoc: its time stamp.
@@ -123,7 +123,7 @@ class Summary:
 
 
 class WireStatistics:
-    """Collects what a KRC sends, one datagram at a time.
+    """Collects statistics of a KRC's telegrams, one datagram at a time.
 
     Args:
         expected: elements that the KRC's file lists in SEND, as `AIPos.A1`; None if there is no file to compare with.

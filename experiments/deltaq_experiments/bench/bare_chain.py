@@ -50,7 +50,7 @@ class BareChainError(DeltaqError):
 
 
 class BareChain(BaseModel):
-    """What the chain cost.
+    """Cost of the reference chain.
 
     Attributes:
         processor_us: processor time of each process in a cycle [µs].

@@ -1,4 +1,4 @@
-"""Situations near obstacles in which the gate had most to do.
+"""Stored situations near obstacles that cost the gate most time.
 
 `python -m studies.cornered` found them. Adversaries drive both robots of the lab cell into each other and into
 the structure, over several seeds, and each decision is timed. Kept are the gate's memory before a decision and the

@@ -123,7 +123,7 @@ class HopReferenceError(DeltaqError):
 
 @dataclass(frozen=True)
 class HopTimes:
-    """What the reference measured.
+    """Results of the reference.
 
     Attributes:
         cycle_s: its messages were sent once in this time [s].
@@ -134,7 +134,7 @@ class HopTimes:
     rows: NDArray[np.int64]
 
     def ages_s(self, hops: int) -> list[float]:
-        """Age of each message after so many hops, of those that came back [s]."""
+        """Age of each returned message after a number of hops [s]."""
         back = self.rows[self.rows[:, -1] > 0]
         ages: list[float] = ((back[:, hops] - back[:, 0]) / 1e9).tolist()
         return ages

@@ -1,4 +1,4 @@
-"""The way of each increment through the cell, joined from the stamps of all processes.
+"""Journey of each increment through the cell, joined from the stamps of all processes.
 
 Pure. Robot and cycle join a state with the increment that answers it; its sequence number joins the increment with the
 decision on it. The gate does one thing after the other, so an admission that goes out after a decision has begun and

@@ -43,7 +43,7 @@ _END_TOLD_S = 5.0
 
 @dataclass(frozen=True)
 class LiveOptions:
-    """What is run, and for how long.
+    """Options of the live benchmark.
 
     Attributes:
         cell: name or file of the cell.

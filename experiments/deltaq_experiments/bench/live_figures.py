@@ -65,7 +65,7 @@ def ratio(value: float | None, reference: float | None) -> float | None:
 
 
 class BrakeCause(StrEnum):
-    """What kept a fresh admission from a cycle; the value is what people read."""
+    """Why a cycle had no fresh admission; the value is the text of the report."""
 
     HELD = "the robot was held or not ready"
     REPLY_MISSED = "the KRC had missed the reply before"
@@ -85,7 +85,13 @@ class BrakeCause(StrEnum):
 
 
 def causes(stamps: RobotStamps, cycles: Iterable[int], lookahead_cycles: int = 1) -> Counter[BrakeCause]:
-    """The cause of every one of these cycles that had no fresh admission."""
+    """Count the cycles without a fresh admission, by cause.
+
+    Args:
+        stamps: of one robot.
+        cycles: numbers of the cycles to judge; those with a fresh admission are left out.
+        lookahead_cycles: of the cell's gate.
+    """
     outcomes, blame = stamps.outcomes, _Blame(stamps, lookahead_cycles)
     missed = (cycle for cycle in cycles if outcomes.get(cycle) not in (None, CycleOutcome.FRESH))
     return Counter(blame.cause(cycle) for cycle in missed)
@@ -116,7 +122,7 @@ class _Blame:
         }
 
     def cause(self, cycle: int) -> BrakeCause:
-        """Of one cycle without a fresh admission."""
+        """The cause of one cycle without a fresh admission."""
         outcome = self._stamps.outcomes[cycle]
         if outcome is CycleOutcome.HELD:
             return BrakeCause.HELD
@@ -177,9 +183,9 @@ class _Blame:
 SLOW_CYCLE_S = 0.012
 """Cycle of the slower of the two shipped cells, which has other bounds than the quicker one [s]."""
 RATE_AT_LEAST, RATE_AT_LEAST_QUICK = 0.999, 0.995
-"""Admission rate that is promised from `SLOW_CYCLE_S` on, and below it."""
+"""Promised admission rate in cells of `SLOW_CYCLE_S` or slower, and in quicker ones."""
 CLIENT_CYCLE_AT_MOST_MS = 24.0
-"""Longest cycle of a controller that is promised from `SLOW_CYCLE_S` on; below it nothing is [ms]."""
+"""Promised bound of a controller's cycle in cells of `SLOW_CYCLE_S` or slower; quicker cells have none [ms]."""
 
 NAMES = {
     StampStation.STATE_OUT: "state out",
@@ -192,7 +198,7 @@ NAMES = {
     StampStation.ADMISSION_OUT: "admission out",
     StampStation.ADMISSION_AT_SERVER: "admission at the Robot Server",
 }
-"""Stations in their order, for people; all ages count from the telegram."""
+"""Names of the stations in reports, in their order; ages count from the KRC's telegram."""
 
 
 class _Frozen(BaseModel):
@@ -203,13 +209,13 @@ class StationAges(_Frozen):
     """Ages of a robot's increments at one station.
 
     Attributes:
-        station: for people.
-        age_ms: since the telegram that the increment answers [ms].
-        missing: increments that were sent and have no stamp here.
-        hops: of the reference.
-        reference_ms: ages after so many hops [ms]; None for a station before the first.
-        ratio_p50: median by median.
-        ratio_p99: p99 by p99.
+        station: its name in reports.
+        age_ms: time from the telegram that the increment answers to this station [ms].
+        missing: number of sent increments without a stamp here.
+        hops: number of hops of the reference that correspond to this station; None if none do.
+        reference_ms: ages of the reference's messages after that number of hops [ms]; None without hops.
+        ratio_p50: median age divided by the reference's median age.
+        ratio_p99: the same of the 99 % quantiles.
     """
 
     station: str
@@ -222,16 +228,16 @@ class StationAges(_Frozen):
 
 
 class RobotFigures(_Frozen):
-    """One robot.
+    """Figures of one robot in the measured window.
 
     Attributes:
-        cycles: in the window.
-        fresh: of these with a fresh admission.
-        admission_rate: their share; None without cycles.
-        braked: causes of the others, with their counts.
-        increments: that answer cycles of the window.
-        stations: ages.
-        longest_client_cycle_ms: longest time from one state that its controller took to the next [ms].
+        cycles: number of cycles in the window.
+        fresh: number of these with a fresh admission.
+        admission_rate: fresh / cycles; None without cycles.
+        braked: number of the other cycles, by cause (values of `BrakeCause`).
+        increments: number of increments that answer cycles of the window.
+        stations: ages of these increments, one entry for each of `NAMES`.
+        longest_client_cycle_ms: longest time between two states that the controller received [ms].
     """
 
     cycles: int
@@ -247,12 +253,12 @@ class LiveRow(_Frozen):
     """One figure beside the reference of the same run, and its bound.
 
     Attributes:
-        what: for people.
-        value: of the cell; None if it could not be measured.
+        what: name of the figure in the report.
+        value: measured in the cell; None if it could not be measured.
         unit: of value, reference and bounds.
-        reference: the same of the reference.
-        ratio: value by reference.
-        at_most, at_least: bounds; None for none.
+        reference: the same figure of the reference; None without one.
+        ratio: value / reference; None without either.
+        at_most, at_least: bounds of the value; None for none.
         kept: whether the bounds are kept; None without a bound. A figure that could not be measured does not keep
             its bound.
     """
@@ -277,7 +283,7 @@ class LiveRow(_Frozen):
         at_most: float | None = None,
         at_least: float | None = None,
     ) -> LiveRow:
-        """The row, judged."""
+        """Make a row; `ratio` and `kept` are computed."""
         kept = None
         if at_most is not None or at_least is not None:
             below = at_most is None or (value is not None and value <= at_most)
@@ -298,7 +304,15 @@ class LiveRow(_Frozen):
 def robot_figures(
     stamps: RobotStamps, begin_ns: int, end_ns: int, reference: HopTimes, lookahead_cycles: int = 1
 ) -> RobotFigures:
-    """The figures of one robot in a window [ns]."""
+    """The figures of one robot in a window of time.
+
+    Args:
+        stamps: of the robot.
+        begin_ns: begin of the window, on the clock of the stamps [ns].
+        end_ns: its end [ns].
+        reference: hop times of the reference in the same run.
+        lookahead_cycles: of the cell's gate.
+    """
     outcomes = stamps.outcomes
     cycles = [cycle for cycle in stamps.cycles_in(begin_ns, end_ns) if cycle in outcomes]
     fresh = sum(outcomes[cycle] is CycleOutcome.FRESH for cycle in cycles)
@@ -322,7 +336,15 @@ def bounded_rows(
     reference_processor_us: float,
     stolen_share: float | None,
 ) -> tuple[LiveRow, ...]:
-    """Rows of bounds, of comparisons, and of processor time that the machine itself did not get."""
+    """The rows of the report: admission rate and longest controller cycle of each robot, processor time, stolen time.
+
+    Args:
+        robots: figures of each robot, by name.
+        processor_us: processor time of each process in a cycle, by process [µs].
+        reference: hop times of the reference in the same run.
+        reference_processor_us: processor time of the reference in a cycle, all its processes [µs].
+        stolen_share: share of the processor time that the host of a virtual machine gave to others; None if unknown.
+    """
     slow = reference.cycle_s >= SLOW_CYCLE_S
     longest_s = reference.longest_client_cycle_s
     longest_ms = None if longest_s is None else longest_s * 1e3

@@ -40,7 +40,7 @@ _POSE = (0.0,) * 6
 
 
 def standing_telegrams(loaded: LoadedCell, robot: str, count: int) -> list[bytes]:
-    """What the KRC of a robot sends in so many cycles while the robot stands at home."""
+    """`count` telegrams of a robot's KRC, with the robot at rest at home."""
     description = loaded.model.description.robots[robot]
     driver, xml = description.driver, loaded.ethernet_xml(robot)
     assert isinstance(driver, RsiDescription)  # asked only of a robot on RSI

@@ -272,7 +272,7 @@ class RecordedRun:
 
 
 def read_run(path: Path, on_progress: Callable[[int, int], None] | None = None) -> RecordedRun:
-    """Read a recording to its end, or as far as it goes.
+    """Read a recording to its end, or up to its damage.
 
     Args:
         path: the file.

@@ -43,7 +43,7 @@ class RobotObserver:
         self._last = LastIncrement(limits.max_ddq)
 
     def observe(self, view: RobotView) -> RobotObservation:
-        """What is seen of it now."""
+        """The present observation of the robot."""
         return {"q": view.q, "q_cmd": view.q_cmd, "dq": self._last.update(view)}
 
 
@@ -56,7 +56,7 @@ def robot_space(limits: IncrementLimits) -> spaces.Dict[Array]:
 
 
 class ViewErrors(NamedTuple):
-    """What a view lacks.
+    """Errors of a view.
 
     Attributes:
         angle_rad: between the camera's axis and the direction of the focus [rad].
@@ -146,7 +146,7 @@ class Episode:
         return self.stack.states[self._scene.robot_name].phase in (Phase.OFFLINE, Phase.HELD)
 
     def step(self, share: Array) -> tuple[Array, Verdict | None]:
-        """Ask the gate for a share (n,) of the largest increment, and go on to the next cycle.
+        """Request a fraction (n,) of the largest increment, and advance by one cycle.
 
         Returns:
             The increment (n,) that was asked for [rad or m], and the gate's verdict on it.
@@ -268,7 +268,7 @@ class CameraEnvironment(gymnasium.Env[Observation, Array]):
         return self._episode.observation, self._episode.errors._asdict()
 
     def step(self, action: Array) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Ask the gate for an increment, and go on to the next cycle.
+        """Request an increment, and advance by one cycle.
 
         Raises:
             DeltaqError: the action has another shape or is not finite, or no episode has begun.

@@ -52,7 +52,7 @@ class ViewTarget(Message):
     focus_m: TargetPoint | None = None
 
     def words(self) -> str:
-        """The target as people read it, and as `deltaq camera view --target` takes it."""
+        """The target as text, in the form of `deltaq camera view --target`."""
         if self.focus_m is not None:
             return _coordinates(self.focus_m)
         name = self.leader or ""

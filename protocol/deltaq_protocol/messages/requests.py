@@ -174,7 +174,9 @@ class StopRequest(Message):
 
 
 class ResetRequest(Message):
-    """Leave `held`; refused while the cause persists, and to others than the operator where the HLI knows one.
+    """End the hold of a robot; refused while its cause persists.
+
+    If the HLI has an operator's token, only operators may.
 
     `token` is never sent, as in `LeaseRequest`.
     """

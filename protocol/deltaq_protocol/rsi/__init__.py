@@ -1,4 +1,4 @@
-"""KUKA's Robot Sensor Interface (RSI) as it goes over the network, for both ends of it.
+"""Telegrams of KUKA's Robot Sensor Interface (RSI), for both ends.
 
 `SensorCodec` is the PC's end, `KrcCodec` the robot controller's; both are compiled from the same
 `*_ethernet.xml` that the controller loads, and both speak rad and m to their callers.

@@ -78,7 +78,7 @@ def is_loopback(address: str) -> bool:
 
 
 def is_any(address: str) -> bool:
-    """Whether an address stands for all of a machine's own, as 0.0.0.0 does."""
+    """Whether an address stands for all interfaces, such as 0.0.0.0."""
     ip = _ip(address)
     return address == "" if ip is None else ip.is_unspecified
 

@@ -83,7 +83,7 @@ class SensorTelegram(NamedTuple):
 
 
 class KrcCodec:
-    """Telegrams of one robot as its controller sees them.
+    """Codec of one robot's telegrams at the controller's end.
 
     Motor currents and technology parameters are written as zero: there is no model of them.
 

@@ -79,7 +79,7 @@ class KrcTelegram(NamedTuple):
 
 
 class SensorCodec:
-    """Telegrams of one robot as the PC sees them.
+    """Codec of one robot's telegrams at the PC's end.
 
     Args:
         config: the controller's `*_ethernet.xml`.

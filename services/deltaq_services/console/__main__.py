@@ -15,7 +15,7 @@ from deltaq_services.process import run
 
 
 class NotInstalledError(DeltaqError):
-    """What the console's page is made with is not there."""
+    """A library of the console's server is not installed."""
 
 
 def main() -> None:

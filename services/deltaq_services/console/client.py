@@ -34,7 +34,7 @@ class ClockOffset:
         self._least: deque[tuple[int, float]] = deque(maxlen=SECONDS_KEPT)
 
     def hear(self, sent_s: float, arrived_s: float) -> float:
-        """A message has come; returns how late it was [s], 0 for the first.
+        """Take a message; returns its lateness [s], 0 for the first.
 
         Args:
             sent_s: on the sender's clock [s].
@@ -87,7 +87,7 @@ class Client:
         return self._answers.get(command_id)
 
     def answer(self, ack: Ack) -> Ack:
-        """Keep an answer, for the case that its command comes again; returns it."""
+        """Store an answer in case its command is repeated; returns it."""
         if not ack.id:
             return ack
         self._answers[ack.id] = ack

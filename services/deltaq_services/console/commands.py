@@ -171,13 +171,13 @@ class AskAdvisor(ConsoleCommand, driving.Advise):
 
 
 class DragPose(ConsoleCommand, driving.Reach):
-    """Plan the way that brings a hand to a pose in the world."""
+    """Plan the path of a hand to a pose in the world."""
 
     robot: Name
 
 
 class DragJoints(ConsoleCommand, driving.ReachJoints):
-    """Plan the way to a configuration."""
+    """Plan the path to a configuration."""
 
     robot: Name
 

@@ -135,7 +135,7 @@ class ConsoleCore:
         return client, [*left, *(ToClient(number, message) for message in (hello, *self._log.kept, *ways))]
 
     def disconnect(self, client: Client, now_s: float) -> list[ConsoleOutput]:
-        """A browser has disconnected: robots that it drove come to rest, and are released unless it comes back."""
+        """Disconnect a browser: its robots come to rest, and are released unless it reconnects in time."""
         del self.clients[client.number]
         self.board.forget(client)
         if client.session and not client.shows_replay:
@@ -253,7 +253,7 @@ class ConsoleCore:
         ]
 
     def unconfirmed(self, why: str, now_s: float) -> None:
-        """Nobody has confirmed the stop in time; it is asked again all the same."""
+        """Report that the stop was not confirmed in time; the console keeps asking."""
         self._log.add(now_s, "stop", f"the stop is not confirmed: {why} Use the emergency stop.")
 
     def recorder_ended(self, why: str, now_s: float) -> None:

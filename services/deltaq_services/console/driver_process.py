@@ -24,7 +24,7 @@ _LONGEST_LINE_BYTES = 64 * 1024
 
 
 class ConsoleProgram:
-    """A Python process, while it runs. It ends by itself when its input ends.
+    """A running Python process, which ends when its input ends.
 
     Args:
         said: called with each line that it writes.

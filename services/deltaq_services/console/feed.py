@@ -93,7 +93,7 @@ class RobotMotion:
 
 
 class RobotFeed:
-    """One robot, as heard.
+    """The newest data of one robot.
 
     Args:
         robot: its description.
@@ -123,7 +123,7 @@ class RobotFeed:
         self._gaps.append((now_s, gap_s))
 
     def take_state(self, state: RobotState, arrived_s: float) -> bool:
-        """A newer state has come; returns whether it is one of this robot."""
+        """Take a newer state; returns whether it is one of this robot."""
         if len(state.q) != len(self._home) or len(state.q_cmd) != len(self._home):
             return False
         before = self.state
@@ -135,7 +135,7 @@ class RobotFeed:
         return True
 
     def take_verdict(self, verdict: Verdict, arrived_s: float) -> None:
-        """A verdict on this robot has come."""
+        """Take a verdict on this robot."""
         self.verdict, self._verdict_s = verdict, arrived_s
         self._outcomes.append((arrived_s, verdict.outcome))
 

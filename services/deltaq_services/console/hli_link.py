@@ -26,7 +26,7 @@ _MOST_VERDICTS = 1000
 
 @dataclass
 class RobotNews:
-    """Messages about one robot that came since the last reading.
+    """Messages about one robot since the last reading.
 
     Attributes:
         states: the newest two, as bytes; two following ones show how fast the setpoint moves.
@@ -74,7 +74,7 @@ class _Ear:
 
 
 class HliLink:
-    """Listens to the HLI and asks it; a context manager. The HLI may come, go and come back meanwhile.
+    """The console's connection to the HLI; a context manager. The HLI may restart meanwhile.
 
     Args:
         hli: where it serves.

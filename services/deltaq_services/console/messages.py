@@ -51,7 +51,7 @@ _OF_JOINT = {
 
 
 class ConsoleHello(Message):
-    """First message to a browser: its name here, and what it may do.
+    """First message to a browser: its name and its rights.
 
     `operator` is False for one that may only look and stop; `token_needed` says that a token would change this.
     `console` is this process's own: a page that was loaded from another one knows neither its cell nor its clients.
@@ -96,7 +96,7 @@ class Ack(Message):
 
 
 class StopPhase(StrEnum):
-    """How far a stop has come: sent to the HLI, latched by the gate, and every robot seen at rest."""
+    """Progress of a stop: sent to the HLI, latched by the gate, every robot at rest."""
 
     NONE = "none"
     ASKED = "asked"
@@ -161,7 +161,7 @@ class RobotStatusView(Message):
 
 
 class WaysView(Message):
-    """The ways that a robot's driver offers now, sent when they have changed."""
+    """The paths that a robot's driver offers now; sent when they change."""
 
     type: Literal["ways"] = "ways"
     robot: str

@@ -1,4 +1,4 @@
-"""What the core wants done, for its shell, and the requests whose answers are awaited."""
+"""Outputs of the console's core for its shell, and the requests that await answers."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ Awaited = tuple[Client | None, str, AskHli | ToDriver | None]
 
 
 class PendingRequests:
-    """What is on its way."""
+    """Requests that await an answer."""
 
     def __init__(self) -> None:
         self._numbers = itertools.count(1)
@@ -82,11 +82,11 @@ class PendingRequests:
         return sent
 
     def answered(self, request: str) -> Awaited:
-        """What a request was about, which is awaited no more."""
+        """End the wait for a request; returns its subject."""
         return self._asked.pop(request, (None, "", None))
 
     def given_up(self, robot: str) -> list[Awaited]:
-        """What a robot's driver was asked and will not answer."""
+        """Drop and return the requests that a robot's driver will not answer."""
         lost = [
             request
             for request, (_, _, asked) in self._asked.items()

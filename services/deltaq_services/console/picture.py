@@ -1,4 +1,4 @@
-"""What is seen of the cell: states, verdicts and near bodies as they come, and the frame that shows them."""
+"""The newest states, verdicts and near bodies of the cell, and the frame with them for browsers."""
 
 from __future__ import annotations
 

@@ -214,7 +214,7 @@ class RobotSide:
         return ""
 
     def motion(self, now_s: float) -> RobotMotion:
-        """What a stop has to know."""
+        """The robot's motion, for the progress of a stop."""
         state = self.feed.state
         if state is None or self.feed.is_stale(now_s):
             return RobotMotion(None)

@@ -29,7 +29,7 @@ MESHES = "/meshes"
 
 @dataclass
 class BrowserScene:
-    """What a browser needs to draw a cell.
+    """The data from which a browser draws a cell.
 
     Attributes:
         document: the description as JSON has it.
@@ -69,7 +69,7 @@ def scene_of(cell: CellModel, emulated: bool) -> BrowserScene:
 
 
 def pad_document() -> dict[str, Any]:
-    """What the parts of a gamepad do, and in which steps [m]."""
+    """The functions of a gamepad's controls, and their steps [m]."""
     return {
         "controls": [asdict(control) for control in PAD_LAYOUT],
         "view_step_m": VIEW_STEP_M,

@@ -84,7 +84,7 @@ class Seat:
                 return self._refused_by(client)
 
     def leave(self, client: Client, request: Callable[[], str]) -> tuple[ToDriver, ...]:
-        """A client's connection has ended: the robot comes to rest and is released."""
+        """End a client's connection: its robot comes to rest and is released."""
         if self.wanted_by is client:
             self.wanted_by = None
         if self._next is client:

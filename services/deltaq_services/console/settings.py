@@ -27,7 +27,7 @@ LEAST_CHARACTERS = 16
 
 
 class NoTokenError(DeltaqError):
-    """Strangers can reach the console, and nothing distinguishes its operators from them."""
+    """The console is reachable by others, and no token distinguishes its operators."""
 
 
 class NoFolderError(DeltaqError):
@@ -92,7 +92,7 @@ class Settings:
 
     @property
     def url(self) -> str:
-        """Where a browser on this machine finds it."""
+        """The console's address for a browser on this machine."""
         host = f"[{self.address}]" if ":" in self.address else self.address
         return f"http://{'127.0.0.1' if host == '0.0.0.0' else host}:{self.port}"
 

@@ -136,7 +136,7 @@ class BrowserConnection:
 
 
 class Console:
-    """The console of one cell, as it runs.
+    """The running console of one cell.
 
     Args:
         cell: the cell's model.

@@ -429,7 +429,7 @@ class Audit:
 
     @property
     def fault(self) -> str:
-        """Why the newest line could not be written, for people; empty if it was."""
+        """Why the newest line could not be written, as text; empty if it was."""
         if self._file is None or not self._file.fault:
             return ""
         return f"audit log: {self._file.fault}, {self._file.lost} lines lost"
@@ -472,6 +472,6 @@ class Audit:
 
 
 def as_line(entry: AuditEntry) -> bytes:
-    """An entry as a line of JSON, in ASCII: no terminal takes it for anything else than text."""
+    """An entry as one line of ASCII JSON, safe to print on a terminal."""
     fields = entry.model_dump(mode="json")
     return json.dumps(fields, separators=(",", ":")).encode("ascii") + b"\n"

@@ -37,7 +37,7 @@ _MAC_BYTES = 32
 
 
 class Challenges:
-    """Makes challenges, and knows its own again.
+    """Makes challenges, and recognises its own.
 
     Args:
         secret: different in each process.

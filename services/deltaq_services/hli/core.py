@@ -252,7 +252,7 @@ class HliCore(Part):
         return [ToTopic(topics.PROXIMITY, "", Proximity(time_s=health.time_s, pairs=(health.nearest,)))]
 
     def on_hello(self, hello: Hello, sender: Sender) -> list[Output]:
-        """Welcome a client, or tell it that it speaks another version."""
+        """Answer a hello: welcome the client, or refuse another protocol version."""
         if hello.protocol not in LINE_VERSIONS:
             self.counters["version_mismatches"] += 1
             ours = ", ".join(map(str, LINE_VERSIONS))
@@ -314,11 +314,11 @@ class HliCore(Part):
 
     @property
     def mismatches(self) -> tuple[str, ...]:
-        """Services that have read another cell than this one has, for people."""
+        """Services that have read another cell than this one, as text."""
         return tuple(self._state.mismatches.values())
 
     def lagging(self, time_s: float) -> tuple[str, ...]:
-        """Streams that are silent, or slower than the table of topics requires; for people."""
+        """Streams that are silent, or slower than the table of topics requires, as text."""
         faults = (stream.fault(time_s) for stream in self._streams())
         return tuple(fault for fault in faults if fault is not None)
 

@@ -53,7 +53,7 @@ class GuardedFront:
         self._session.publish(topic, message, robot=robot, service=HLI)
 
     def counters(self) -> Counter[str]:
-        """What the session counted."""
+        """Counters of the session."""
         return self._session.counters()
 
     def close(self) -> None:

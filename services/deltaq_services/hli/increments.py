@@ -104,7 +104,7 @@ class Increments:
         return [ToSender(sender, Error(code=error.code, message=str(error), hint=hint, **answered))]
 
     def on_cycle(self, robot: str, link: RobotLink, time_s: float) -> list[Output]:
-        """A state has come: ask the gate for the increment whose turn it is, or send a heartbeat if it needs one."""
+        """Begin a robot's cycle on its state: request its due increment of the gate, or send a due heartbeat."""
         asked, outputs = self._whose_turn(link, time_s)
         if asked is not None:
             return [self._request(robot, link, asked), *outputs]

@@ -36,7 +36,7 @@ class Sequence(Part):
         return behind < 0 or (behind < self.width and not self.seen >> behind & 1)
 
     def take(self, number: int) -> bool:
-        """A number has come; whether it is new."""
+        """Take a sequence number; returns whether it is new."""
         if not self.is_new(number):
             return False
         if number > self.newest:

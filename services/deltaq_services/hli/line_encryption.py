@@ -1,4 +1,4 @@
-"""TLS for the JSON lines, where the HLI is given a certificate; without one they are in the clear.
+"""TLS for the JSON lines, if the HLI has a certificate; without one they are unencrypted.
 
 A client may show a certificate of its own: one of the cell's authority proves an operator's or a controller's name.
 """

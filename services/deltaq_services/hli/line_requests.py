@@ -1,4 +1,4 @@
-"""What a line of a client asks for, by its `type`."""
+"""Decoding of client lines, by their `type`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class ReceivedLines:
         return len(self._received)
 
     def add(self, data: bytes) -> None:
-        """Bytes have come."""
+        """Take received bytes."""
         self._received += data
 
     def first(self) -> tuple[int, bool]:
@@ -48,7 +48,7 @@ class ReceivedLines:
         return line
 
     def take_stop(self, begin: int) -> bool:
-        """Take out a stop that has come whole, even if other lines wait before it.
+        """Take out a completely received stop, even if other lines wait before it.
 
         Args:
             begin: bytes that were looked at before.
@@ -91,7 +91,7 @@ def _is_stop(line: bytes) -> bool:
 
 
 def request_type(data: dict[str, Any]) -> type[Message]:
-    """What a line asks for.
+    """The request type of a line.
 
     Raises:
         InvalidMessageError: nothing that a client may say.

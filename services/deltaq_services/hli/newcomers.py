@@ -57,7 +57,7 @@ class Handshake(asyncio.Protocol):
         self._is_lost = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Somebody has connected."""
+        """A client has connected."""
         assert isinstance(transport, asyncio.Transport)  # of a TCP server, always
         transport.pause_reading()  # the bytes belong to the handshake
         self._task = self._loop.create_task(self._agree(transport))

@@ -66,12 +66,14 @@ class Sifted(NamedTuple):
 
 
 class Sieve:
-    """Drops increments without a proof, and increments beyond the rate, before the core.
+    """Rate filter of zenoh increments before the core: drops those without a valid proof, and excess ones.
+
+    It may be called from any thread.
 
     Args:
         keys: zenoh key of each robot's increments, by robot.
         cycle_s: of the robots.
-        authentication: knows proofs.
+        authentication: checks the proofs.
         now: monotonic time [s].
     """
 
@@ -93,7 +95,7 @@ class Sieve:
         self._counters: Counter[str] = Counter()
 
     def sift(self, sample: zenoh.Sample) -> Sifted | None:
-        """The increment in a sample, if the core is to check it; None if it was counted and dropped."""
+        """The increment in a sample, for the core to check; None if it was dropped and counted."""
         key = str(sample.key_expr)
         robot, proof = self._robots.get(key), sample.attachment
         if robot is None or proof is None:
@@ -178,7 +180,13 @@ class QuerySender(Sender):
 
 
 class OpenFront:
-    """Takes increments, answers queries, publishes states and verdicts.
+    """The HLI's zenoh session for clients: receives increments, answers queries, publishes states and verdicts.
+
+    It opens the session at once. Each message is handed to the core through `port.serve`.
+
+    Args:
+        cell: gives the address (`hli`), the robots and the cycle.
+        port: the HLI's shell: core, authentication, roles, event loop and clock.
 
     Raises:
         GuardedRealmError: `cell.hli` uses TLS, and there is no identity.

@@ -152,7 +152,7 @@ cycle. On links that lose packets a greater share and a smaller one let the came
 
 
 class Fate(Enum):
-    """What becomes of an increment that has no turn of its own."""
+    """Fate of an increment without a cycle of its own."""
 
     CARRIED = "later increments carry its motion"
     SUPERSEDED = "another answer to the same state was accepted"

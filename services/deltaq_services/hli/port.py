@@ -1,4 +1,4 @@
-"""What a front needs of the shell that owns it."""
+"""The interface of the HLI's shell for its fronts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a client can ask for besides increments: a lease, a stop, a reset, digital outputs.
+"""Requests of clients besides increments: leases, stops, resets, digital outputs and others.
 
 `ROWS` is the table of all that a client may say. Another request takes a message, a handler and a row here; lines and
 zenoh are served from the table, and `deltaq_protocol.topics` has the least role.
@@ -111,6 +111,8 @@ _GIVE_IT = f"over lines in the hello; to `deltaq` and in Python by {OPERATOR_TOK
 class Requests:
     """Answers requests. A request to the gate is answered when the gate has carried it out.
 
+    Each handler takes the message, its sender and the monotonic time [s], and returns the messages to send.
+
     Args:
         state: of the HLI.
         roles: determines who may `take`, `reset` and switch contacts, and which clients may have a lease.
@@ -183,7 +185,7 @@ class Requests:
         return outputs + self._state.command(command, sender, Done(what="stop"), time_s)
 
     def on_reset(self, request: ResetRequest, sender: Sender, time_s: float) -> list[Output]:
-        """Leave `held`: a privilege where an operator's token is set, refused while the cause stands."""
+        """End a robot's hold; refused while its cause persists. With an operator's token set, only operators may."""
         if request.robot not in self._state.links:
             return self._error(sender, request, ReasonCode.UNKNOWN_ROBOT, *self._robots_are(request.robot))
         if self._role(request, sender) < topics.RESET.least_role():
@@ -194,7 +196,7 @@ class Requests:
         return self._state.command(command, sender, Done(what=f"reset {request.robot}"), time_s)
 
     def on_dry_run(self, request: DryRunRequest, sender: Sender, time_s: float) -> list[Output]:
-        """Ask the gate for its verdict on an increment if it came now."""
+        """Ask the gate for its verdict on an increment in the present state; nothing moves."""
         link = self._state.links.get(request.robot)
         if link is None:
             return self._error(sender, request, ReasonCode.UNKNOWN_ROBOT, *self._robots_are(request.robot))
@@ -206,7 +208,7 @@ class Requests:
         return self._state.command(command, sender, None, time_s)
 
     def on_contact(self, request: ContactRequest, sender: Sender, time_s: float) -> list[Output]:
-        """Allow a contact or forbid it: a privilege where an operator's token is set."""
+        """Allow or forbid a contact. With an operator's token set, only operators may."""
         known = self._state.cell.contacts
         if request.contact not in known:
             text = (
@@ -248,7 +250,7 @@ class Requests:
         return [ToSender(sender, reply)]
 
     def on_io(self, request: IoRequest, sender: Sender, time_s: float) -> list[Output]:
-        """Set outputs, which only the holder may while the robot is leased, and read all of them."""
+        """Set digital outputs, and read all of them. While the robot is leased, only the holder may set them."""
         outputs = self._state.tick(time_s)
         robot = request.robot
         if robot not in self._state.links:
@@ -282,7 +284,7 @@ class Requests:
         return outputs + self._state.command(command, sender, reply, time_s)
 
     def on_heard(self, leases: Iterable[tuple[str, str]], time_s: float) -> list[Output]:
-        """Something valid came over a connection: its owner lives; `leases` are the robots and tokens it holds."""
+        """Renew the leases of a connection that sent a valid message; `leases` are its (robot, token) pairs."""
         outputs = self._state.tick(time_s)
         for robot, token in leases:
             lease = self._state.leases.held_with(robot, token)
@@ -291,7 +293,7 @@ class Requests:
         return outputs
 
     def on_connection_lost(self, leases: Iterable[tuple[str, str]], time_s: float) -> list[Output]:
-        """A connection broke; `leases` are the robots and tokens it held."""
+        """End the leases of a broken connection; `leases` are its (robot, token) pairs."""
         self._state.counters["connections_lost"] += 1
         outputs: list[Output] = []
         for robot, token in leases:

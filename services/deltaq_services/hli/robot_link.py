@@ -1,4 +1,4 @@
-"""One robot as the HLI sees it: its newest state, and the increments on their way to the gate.
+"""The HLI's data of one robot: its newest state, and the increments for the gate.
 
 At most one increment goes to the gate per robot and cycle. A second one within the cycle is carried over to the next
 state, and no further; of several only the newest is kept. With a jitter buffer all wait there.
@@ -144,7 +144,7 @@ class RobotLink(Part):
         return self, *playout, *(() if self._admitted is None else (self._admitted,))
 
     def phase(self, time_s: float) -> Phase:
-        """Phase of the robot; offline while no fresh state comes."""
+        """Phase of the robot; offline without a fresh state."""
         if self.state is None or time_s - self.received_s > self._max_state_age_s:
             return Phase.OFFLINE
         return self.state.phase
@@ -216,7 +216,7 @@ class RobotLink(Part):
         )
 
     def take_state(self, state: ServerState, time_s: float) -> None:
-        """Take the state of a new cycle, or one that comes again while the robot's controller is silent."""
+        """Take the state of a new cycle, or one that is repeated while the robot's controller is silent."""
         before = self.state
         is_next = before is not None and before.cycle == state.cycle - 1 == self._asked_cycle
         took_it = before is not None and self._undecided is None and state.sequence > before.sequence

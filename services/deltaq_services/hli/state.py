@@ -208,7 +208,7 @@ class HliState(Part):
         return refusal(robot, cycle, seq, reason, sender, is_holders)
 
     def refuse_asked(self, asked: Asked, reason: Reason) -> list[Output]:
-        """Refuse an increment that had been accepted before."""
+        """Refuse a formerly accepted increment."""
         increment = asked.increment
         return self.refuse(increment.robot, increment.cycle, increment.seq, reason, asked.sender)
 

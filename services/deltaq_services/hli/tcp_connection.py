@@ -45,7 +45,7 @@ _SEND_BUFFER_BYTES = 64 * 1024
 
 
 class Front(Protocol):
-    """The server, as a connection sees it."""
+    """The interface of the server for its connections."""
 
     counters: Counter[str]
 
@@ -121,7 +121,7 @@ class TcpConnection(asyncio.Protocol, Sender):
         self._hello_deadline = self._port.loop.call_later(HELLO_DEADLINE_S, self._hello_is_overdue)
 
     def data_received(self, data: bytes) -> None:
-        """Bytes have come."""
+        """Take received bytes."""
         begin = len(self._lines)
         self._lines.add(data)
         if self._lines.take_stop(begin):

@@ -1,4 +1,4 @@
-"""JSON lines over TCP: the same session for MATLAB, Octave and anything that has a socket."""
+"""JSON lines over TCP: sessions for MATLAB, Octave and any program with a socket."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ class TcpFront:
         return None
 
     def leave(self, connection: TcpConnection) -> None:
-        """Forget a connection that broke, and tell the core which leases it held."""
+        """Remove a broken connection, and end its leases in the core."""
         self._turns.leave(connection)
         if self._places.leave(connection):
             if connection.is_welcome:
@@ -126,7 +126,7 @@ class TcpFront:
             self._port.serve(lambda: on_lost(leases.items(), self._port.now()), leases)
 
     def wants_turn(self, connection: TcpConnection) -> None:
-        """A connection has a line waiting; it is served at once, or when its turn comes."""
+        """Serve a waiting line of a connection, at once or in its turn."""
         self._turns.wait(connection, is_holder=bool(connection.leases))
         if not self._is_scheduled:
             self._serve()

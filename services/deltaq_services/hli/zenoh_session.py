@@ -50,7 +50,7 @@ class FloodWait:
         self._lock = threading.Lock()
 
     def one_more(self) -> None:
-        """A message has come; returns when the next one of its session may be read."""
+        """Count a message; returns the time at which the next one of its session may be read."""
         with self._lock:
             is_flood = not self._rate.take(time.monotonic())
         if is_flood:

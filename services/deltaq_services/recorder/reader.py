@@ -1,4 +1,4 @@
-"""Reads a recording in the order in which it was written, as far as it goes.
+"""Reads a recording in the order of writing, up to its end or damage.
 
 A recorder that is killed leaves a file without its end, and a disk may damage any part of it. As much as possible is
 read: a damaged chunk is left out, and the file ends where the next record is invalid; both are reported.

@@ -1,4 +1,4 @@
-"""A recording as the console shows it: where the robots were at even times, and the verdicts that were not admitted.
+"""A recording for the console: the robots' configurations at even times, and the verdicts other than admitted.
 
 `python -m deltaq_services.recorder.replayed FILE --identity IDENTITY` prints it as one JSON object. Reading takes
 processor time, and so it is a process of its own, behind all others.
@@ -45,6 +45,10 @@ class EmptyReplayError(DeltaqError):
 
 def replayed(path: Path, identity: str, most_ticks: int = MOST_TICKS) -> dict[str, Any]:
     """The recording as a JSON object; times from its beginning [s], joints in rad or m.
+
+    It has `name`, `source`, `begin_s` (time of day, if recorded live), the step `period_s`, for each of `robots` a list
+    a step of `q`, `phase`, `outcome`, `clearance_m` and `focus`, `nearest` (the nearest pair of each step), `verdicts`
+    (those other than admitted) and `notices` of damage.
 
     Args:
         path: the file.

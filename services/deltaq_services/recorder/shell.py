@@ -1,4 +1,4 @@
-"""The recorder's session: writes the messages of HLI and SIM, as they come, to a file.
+"""The recorder's session: writes received messages of HLI and SIM to a file.
 
 It is a separate process that only listens. Whatever happens to it, the cell goes on: senders drop the messages that it
 is too slow to take.

@@ -111,7 +111,7 @@ class RobotServer(Part):
 
     @property
     def detail(self) -> str:
-        """The fault of the session's cycle or mode, for people; empty if there is none."""
+        """The fault of the session's cycle or mode, as text; empty if there is none."""
         return (self._told is not None and self._told[0].cycle_fault) or self._mode.detail
 
     def cycle(

@@ -90,7 +90,7 @@ class CycleMeter(Part):
 
     @property
     def detail(self) -> str:
-        """The cycle as it was measured last, for people; empty before, and where `fault` says it."""
+        """The last measured cycle, as text; empty before the first, and if `fault` says it."""
         tick_s = self._seen.tick_s
         if self.fault or tick_s is None:
             return ""

@@ -29,7 +29,7 @@ from deltaq_services.rate_limit import Pace
 
 
 class CycleStamps:
-    """Stamps each telegram, each state, and each admission as it comes.
+    """Stamps each telegram, state and admission on arrival.
 
     The loop reads its ring channel only with the next telegram, so admissions have a subscriber of their own here.
 

@@ -46,7 +46,7 @@ class AdmissionsDue(Part):
 
     @property
     def kept(self) -> tuple[Admission, ...]:
-        """Those that wait for their cycle."""
+        """The admissions that wait for their cycle."""
         return tuple(self._kept.values())
 
     def forget(self) -> int:

@@ -101,7 +101,7 @@ class KrcSocket:
 
     @property
     def detail(self) -> str:
-        """Details of the KRC, for people."""
+        """Details of the KRC, as text."""
         step = self._rsi.session.step
         ipoc = "" if step is None else f"IPOC grows by {step} a cycle"
         watch = "" if self.watch is None else self.watch.detail
@@ -208,7 +208,7 @@ class RsiRobot:
 
     @property
     def detail(self) -> str:
-        """Details of the KRC, for people."""
+        """Details of the KRC, as text."""
         return self._krc.detail
 
     @property

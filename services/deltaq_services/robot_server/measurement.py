@@ -13,7 +13,7 @@ from deltaq_protocol.setpoint_motion import SetpointMotion
 
 
 class Driver(Protocol):
-    """A robot as the loop of its Robot Server sees it. How it is spoken to is the driver's own."""
+    """Interface of a robot's driver for the loop of its Robot Server; the link is the driver's own matter."""
 
     @property
     def is_guarded(self) -> bool:
@@ -22,7 +22,7 @@ class Driver(Protocol):
 
     @property
     def detail(self) -> str:
-        """Faults and facts, for people."""
+        """Faults and facts, as text."""
         ...
 
     @property
@@ -47,7 +47,7 @@ class Driver(Protocol):
         ...
 
     def send(self, motion: SetpointMotion) -> None:
-        """Send that. Whoever has to brake the robot if this process dies goes on from `motion`."""
+        """Send a setpoint. The crash brake's process continues from `motion` if this process dies."""
         ...
 
     def mend(self, now_s: float) -> None:
@@ -57,7 +57,7 @@ class Driver(Protocol):
 
 @dataclass(frozen=True)
 class Settling:
-    """How long the setpoint of one robot has rested, and where the robot was then.
+    """Measures how long the setpoint of one robot has rested, and whether the robot still moves.
 
     Attributes:
         tolerance: (n,) how far the robot may be from where it was sent [rad or m].
@@ -73,7 +73,7 @@ class Settling:
 
     @property
     def at_rest(self) -> bool:
-        """Whether the drives have had the time to catch up."""
+        """Whether the setpoint has rested for as long as the drives lag."""
         return self.cycles_at_rest > self.lag_cycles
 
     def measured(self, q: Array) -> Self:
@@ -92,13 +92,13 @@ class Settling:
         return bool((np.abs(q - other) <= self.tolerance).all())
 
     def goes_on(self, q: Array) -> bool:
-        """Whether a robot at `q` (n,) has moved on since its drives had had the time."""
+        """Whether a robot at `q` (n,) still moves after the time in which the drives settle."""
         return self.q_settled is not None and not self.is_near(q, self.q_settled)
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """What a robot's driver reports at the start of a cycle.
+    """The report of a robot's driver at the start of a cycle.
 
     Attributes:
         ipoc: the KRC's stamp of this cycle.

@@ -78,7 +78,7 @@ _REMEDY = "nothing is driven in this session: let the program call RSI_ON(#ABSOL
 
 
 class KinematicMode(Part):
-    """The mode of a robot that is not a KUKA: it is always where it was sent, so no probe is needed."""
+    """The mode of a kinematic robot: it always reaches its setpoint, so no probe is needed."""
 
     mode = Mode.ABSOLUTE
     known = idle = True
@@ -95,7 +95,7 @@ class KinematicMode(Part):
         return setpoint
 
     def lags_too_long(self, fault: str) -> None:
-        """Does nothing: such a robot is where it was sent."""
+        """Does nothing: a kinematic robot has no lag."""
 
     def end(self) -> None:
         """Does nothing: there is no pulse to undo."""
@@ -169,7 +169,7 @@ class ModeProbe(Part):
 
     @property
     def detail(self) -> str:
-        """The fault and its remedy, for people; empty if there is none."""
+        """The fault and its remedy, as text; empty if there is none."""
         if self.mode is Mode.ABSOLUTE:
             return self._lagging
         if self.mode is Mode.RELATIVE:

@@ -157,7 +157,7 @@ def joint_lags(samples: Array, cycles: Array, trial: Trial, cycle_s: float) -> l
 
 
 def pulse_offsets(robot: RobotDescription, cycle_s: float) -> Array:
-    """What a trial's first pulse adds to the setpoint, cycle by cycle (k, n) [rad or m]; its second subtracts it."""
+    """(k, n) offsets of a trial's first pulse in each cycle [rad or m]; the second pulse subtracts them."""
     size = pulse_sums(robot)
     return triangle(size, robot.max_acceleration * cycle_s**2)[:, np.newaxis] * size
 

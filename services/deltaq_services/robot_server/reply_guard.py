@@ -37,7 +37,7 @@ def reply_fault(
     lower: Sequence[float],
     upper: Sequence[float],
 ) -> ReplyFault | None:
-    """What is wrong with a correction, or None.
+    """The fault of a correction; None if it is permitted.
 
     A correction that lies outside its limits and comes nearer to them, or stays, is accepted: the last one can
     always be sent again.

@@ -176,7 +176,7 @@ one garbled stamp does not end the session whose telegrams then seem overtaken."
 
 
 class Belief(StrEnum):
-    """What is believed of the telegrams that come."""
+    """Whether a session of telegrams is believed."""
 
     UNKNOWN = "unknown"
     """No session was believed yet."""

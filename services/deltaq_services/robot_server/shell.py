@@ -107,7 +107,7 @@ class Loop:
 
 
 class KinematicRobot:
-    """A robot without a controller, see `Driver`: this process keeps the time, and it is where it was sent.
+    """Driver of a robot without a controller: this process keeps the time, and the robot is at its setpoint.
 
     Args:
         q: (n,) where it begins [rad or m].
@@ -128,7 +128,7 @@ class KinematicRobot:
         return time.monotonic()
 
     def read(self, _now_s: float) -> Measurement:
-        """The robot is where it was sent."""
+        """Report the setpoint as the measured configuration."""
         q = self.q_sent
         ipoc = self._cycles * round(self._cycle_s * 1000)
         return Measurement(ipoc=ipoc, q=q, q_start=q if self._cycles == 1 else None)
@@ -157,7 +157,7 @@ _log = logging.getLogger(__name__)
 
 
 def serve(cell: CellDescription, robot: str, ethernet_xml: Path | None) -> None:
-    """Serve one robot until the process is told to end; it then brings the robot to rest first.
+    """Serve one robot until SIGTERM or SIGINT; the robot is brought to rest first.
 
     Args:
         cell: the cell.

@@ -29,7 +29,7 @@ def impossible(
     resets: int,
     longest_gap: int,
 ) -> str | None:
-    """Why this gate cannot have caused a state, for people; None if it can.
+    """Why this gate cannot have caused a state, as text; None if it can.
 
     Args:
         state: of a robot, as it has just come.

@@ -1,4 +1,4 @@
-"""I2: proof that no body of a tube comes nearer to another than the stop distance.
+"""Invariant I2: proves that no body of a tube comes nearer to another than the stop distance.
 
 A box around windows of a tube is certified at its middle, with every body inflated by how far it can travel
 within the box (`deltaq_cell.proximity`). Where that is too coarse the windows are halved, only for those groups
@@ -25,7 +25,7 @@ BUDGET = 24
 
 @dataclass(frozen=True)
 class Binding:
-    """The pair of bodies with the least room left, where a tube was first measured or where it failed."""
+    """The pair of bodies with the least clearance to spare, where a tube was first measured or where it failed."""
 
     nearest: Nearest
     stop_distance_m: float

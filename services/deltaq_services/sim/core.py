@@ -287,7 +287,7 @@ class Sim:
 
     @property
     def memory_is_due(self) -> bool:
-        """Whether a snapshot follows the newest message: where a replay can begin, or go on after a gap.
+        """Whether a snapshot follows the newest message; replays begin, or continue after a gap, at snapshots.
 
         One follows each message that was refused after an error: a replay that meets no such error tells the
         difference, and goes on from there.
@@ -312,7 +312,7 @@ class Sim:
         )
 
     def restore(self, memory: GateMemory) -> None:
-        """Go on from where another gate of this cell was, counters excepted."""
+        """Restore the state of another gate of this cell, except its counters."""
         self.epoch, self.taken, self._cell = memory.epoch, memory.number, memory.cell
         self._sequence, self._receipt = memory.sequence, memory.receipt
         self._command_order.newest_id = memory.command_id

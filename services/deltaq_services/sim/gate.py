@@ -168,7 +168,7 @@ class Decision:
 
 
 class Gate:
-    """Decides requests; knows the bodies and the limits, and nothing of clocks or links."""
+    """Decides requests by bodies and limits, without clocks or links."""
 
     def __init__(
         self,

@@ -73,7 +73,7 @@ _GAP = 4
 
 
 class GatedRobot:
-    """One robot as the gate knows it.
+    """The gate's data of one robot.
 
     Attributes:
         name: of the robot.

@@ -92,7 +92,7 @@ class Inbox:
         return None
 
     def cycle_passed(self, cycle: int, missed: bool) -> Request | None:
-        """A new state has come.
+        """Begin a new cycle.
 
         Args:
             cycle: of the state.

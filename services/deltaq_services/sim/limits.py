@@ -28,7 +28,7 @@ _SLACK = 1e-9
 
 
 def shares_within(start: Array, end: Array, low: Array, high: Array) -> Array:
-    """(n,) how far each joint may go from `start`, which lies between `low` and `high`, towards `end`; 1 is all."""
+    """(n,) greatest fraction of the step from `start` to `end` that each joint's bounds allow; may exceed 1."""
     change = end - start
     room = np.where(change > 0, high - start, low - start)
     with np.errstate(all="ignore"):

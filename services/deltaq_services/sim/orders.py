@@ -74,7 +74,7 @@ class Orders:
             self._krc_silent = state.reason is ReasonCode.KRC_LOST
 
     def judge(self) -> None:
-        """Order a stop where the newest state or the HLI's silence calls for one; drop a stop that is done."""
+        """Order a stop if the newest state or the HLI's silence requires one; drop a completed stop."""
         state = self._robot.state
         assert state is not None  # judged on a state
         self.resets = max(self.resets, state.resets)
@@ -95,7 +95,7 @@ class Orders:
         self.stop(ReasonCode.SERVER_LOST)
 
     def stop(self, reason: ReasonCode) -> None:
-        """Order the robot to brake and hold; the first reason stands."""
+        """Order the robot to brake and hold; the first reason is kept."""
         self.standing_stop = self.standing_stop or reason
 
     def awaits_stop(self, command_id: int) -> bool:

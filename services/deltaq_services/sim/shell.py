@@ -83,7 +83,7 @@ def _publisher(session: Any, topic: Topic, cell: str) -> Any:
 
 
 class GateStamps:
-    """Stamps requests as they come, the begin and the end of each decision, and admissions as they go.
+    """Stamps received requests, begin and end of each decision, and sent admissions.
 
     Taken only if the environment asks for them; see `deltaq_protocol.stamps`.
 

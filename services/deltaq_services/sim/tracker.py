@@ -65,7 +65,7 @@ class History:
 
     @property
     def rests(self) -> bool:
-        """Whether the drives have had the time to come to the present setpoint."""
+        """Whether the setpoint has rested for as long as the drives lag."""
         return self.is_full and all((setpoint == self.newest).all() for setpoint in self._setpoints)
 
     def array(self) -> Array:
@@ -218,7 +218,7 @@ class Tracker:
 
     @property
     def is_known(self) -> bool:
-        """Whether every setpoint is known that the drives may be at: states came for as long as they lag."""
+        """Whether all setpoints that still affect the drives are known: states came for as long as they lag."""
         return self.state is not None and self.history.is_full
 
     def admitted(self, admission: Admission) -> None:
@@ -230,7 +230,7 @@ class Tracker:
         self._decided_after = self._ahead = self._known_courses = self._present = None
 
     def decide_after(self, cycle: int | None) -> None:
-        """Decide next the setpoint that is sent after `cycle`; None: that which answers to the newest state go into."""
+        """Decide next the setpoint after `cycle`; None: the one for answers to the newest state."""
         self._decided_after, self._ahead = cycle, None
 
     @property
@@ -242,7 +242,7 @@ class Tracker:
 
     @property
     def ahead(self) -> SetpointMotion:
-        """What the robot will have been sent by then, if it takes all that is in flight."""
+        """The robot's motion (setpoint, increment, brake) after all admissions in flight, if it takes them all."""
         return self._motions()[-1]
 
     def brake(self) -> Array:
@@ -296,7 +296,7 @@ class Tracker:
         return [self.tube(branch) for branch in self._courses()]
 
     def tubes_of_setpoints(self) -> list[Windows]:
-        """The same of drives that are exactly in the hull of their setpoints."""
+        """The tubes for drives exactly in the hull of their setpoints, without width."""
         return [self.tube_of_setpoints(branch) for branch in self._courses()]
 
     def _courses(self) -> list[Branch]:
@@ -306,7 +306,7 @@ class Tracker:
         return self._known_courses
 
     def standing(self) -> Windows:
-        """The tube of a robot that is sent nothing more: where the drives may be now."""
+        """The tube of a robot at rest: the present range of its drives."""
         return self.tube(Branch(np.zeros_like(self.q_cmd), 1, 0))
 
     def at_rest(self) -> bool:

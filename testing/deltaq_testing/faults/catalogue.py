@@ -20,7 +20,7 @@ from deltaq_testing.virtual_cell.parts import Link, Process
 
 
 class Misbehaviour(StrEnum):
-    """What a controller does instead of answering every state once."""
+    """Misbehaviour of a controller."""
 
     EVERY_FOURTH = "every fourth"
     NAN_FLOOD = "nan flood"
@@ -124,7 +124,7 @@ class Bombard(StrEnum):
 
 @dataclass(frozen=True)
 class PressStop:
-    """Somebody presses stop."""
+    """An operator presses stop."""
 
 
 Action = (

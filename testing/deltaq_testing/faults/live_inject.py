@@ -74,7 +74,7 @@ class Injector:
         return []
 
     def restart(self, process: Process) -> list[str]:
-        """Start a process again; tells so."""
+        """Restart a process, and log it."""
         self.launcher.restart(self.service(process))
         return [f"restart of the {process}"]
 

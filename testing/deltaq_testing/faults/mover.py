@@ -27,7 +27,7 @@ _RETRY_S = 0.1
 
 
 class Mover:
-    """Swings the first joint from where it stands at home.
+    """Swings the first joint about its home position.
 
     Args:
         joints: number of joints of the robot, n.

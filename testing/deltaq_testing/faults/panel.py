@@ -1,4 +1,4 @@
-"""What is asked of an emulated controller's panel: faults, and the operator's way back to a running program."""
+"""Requests to an emulated controller's panel: faults, and the operator's steps back to a running program."""
 
 from __future__ import annotations
 

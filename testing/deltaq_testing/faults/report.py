@@ -18,7 +18,7 @@ BY_ITSELF = "by itself"
 
 
 def recovery_text(steps: list[str]) -> str:
-    """What it took, in order."""
+    """The steps of the recovery, in order."""
     return ", ".join(steps) or BY_ITSELF
 
 
@@ -176,7 +176,7 @@ def judged(
 
 
 def is_good(result: Kept, stop_distances_m: tuple[float, float], tolerance_m: float = 1e-4) -> bool:
-    """Whether limits and stop distances were kept; `tolerance_m` is what a telegram's decimals may take off."""
+    """Whether limits and stop distances were kept; `tolerance_m` allows for the decimals of telegrams."""
     still = result.unanswered_cycles + result.altered_telegrams
     as_sent = (
         result.protest is None

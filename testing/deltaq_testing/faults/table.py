@@ -78,7 +78,7 @@ def table_of(loaded: LoadedCell, robot: str, rows: Sequence[FaultEffect]) -> Fau
 
 
 def shown(row: FaultEffect) -> tuple[str, ...]:
-    """A row under `COLUMNS`, for people: degrees and millimetres."""
+    """A row under `COLUMNS` as text, in degrees and millimetres."""
     motion, kept = row.motion, row.kept
     if motion.rest_after_s is None or motion.travel_rad is None or motion.travel_tool_m is None:
         until_rest = (GOES_ON, "-", "-")

@@ -46,12 +46,12 @@ class FaultEntry(ScenarioModel):
 
     @property
     def timed(self) -> TimedFault:
-        """The same for a cell."""
+        """The entry as a fault of a cell."""
         return fault(self.fault, at_s=self.at_s, for_s=self.for_s)
 
 
 class EndsAt(ScenarioModel):
-    """Where the robot under test is in the end: at `q` or at `from_home` away from its home [rad or m].
+    """Expected final configuration of the robot under test: `q`, or home plus `from_home` [rad or m].
 
     No joint may be further off than `within` [rad or m].
     """

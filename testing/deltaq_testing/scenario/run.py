@@ -25,7 +25,7 @@ from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 
 
 def resolved(reference: str, folder: Path) -> Any:
-    """What a reference names.
+    """The object that a reference names.
 
     Args:
         reference: `file.py:name` or `package.module:name`.

@@ -32,13 +32,15 @@ _KRC: Address = (HERE, 1)
 
 
 class VirtualArm(VirtualProcess[RobotServer]):
-    """A robot that is no KUKA, and the process of its Robot Server.
+    """A robot with a kinematic driver, and the process of its Robot Server, in virtual time.
+
+    Each cycle, call `begin_cycle`, then `pump` whenever time advances, then `end_cycle`.
 
     Args:
-        begin: makes the Robot Server's core, from the number of its process.
+        begin: makes the Robot Server's core; its argument counts the starts of the process from 1.
         q: (n,) start configuration [rad or m].
-        publish: takes each state that the Robot Server publishes.
-        now: the time [s].
+        publish: is called with each state that the Robot Server publishes.
+        now: gives the virtual time [s].
 
     Attributes:
         clock_s: offset of the Robot Server's clock [s].
@@ -63,17 +65,17 @@ class VirtualArm(VirtualProcess[RobotServer]):
 
     @property
     def q(self) -> Array:
-        """(n,) where the robot is [rad or m]."""
+        """(n,) present configuration of the robot [rad or m]."""
         return self._q
 
     @property
     def state(self) -> ServerState | None:
-        """What the Robot Server published last; None while it is dead."""
+        """The newest published state; None while the Robot Server is dead."""
         return None if self.life is Life.DEAD else self.server.state
 
     @property
     def links(self) -> tuple[FaultyLink, ...]:
-        """Where telegrams may be under way."""
+        """The simulated wires, on which telegrams may be in transit."""
         return ()
 
     def start(self) -> None:
@@ -82,21 +84,21 @@ class VirtualArm(VirtualProcess[RobotServer]):
         super().start()
 
     def take(self, message: Admission | Supervision) -> None:
-        """The gate has spoken."""
+        """Hand a message of the gate to the Robot Server, unless it is frozen or dead."""
         self.do(lambda: self._told(message))
 
     def begin_cycle(self, now_s: float) -> None:
-        """The robot's clock ticks."""
+        """Begin a cycle: measure, get the next setpoint of the Robot Server, move there, and publish the state."""
         if self.life is Life.RUNNING:
             start = self._q if self.server.state is None else None
             self._q = self._answer(Measurement(round(now_s * 1000), self._q, start), now_s).q_cmd
             self._say()
 
     def pump(self, now_s: float) -> None:
-        """Carry telegrams and replies that arrive by now."""
+        """Deliver the telegrams and replies that arrive until now_s."""
 
     def end_cycle(self, now_s: float) -> None:
-        """The cycle is over."""
+        """End the cycle; nothing to do here."""
 
     def _told(self, message: Admission | Supervision) -> None:
         self.server.take(message, self._now() + self.clock_s)
@@ -149,16 +151,16 @@ class KrcArm(VirtualArm):
 
     @property
     def q(self) -> Array:
-        """(n,) where the robot is [rad or m]."""
+        """(n,) present configuration of the robot [rad or m]."""
         return self.krc.sample.q
 
     @property
     def links(self) -> tuple[FaultyLink, FaultyLink]:
-        """Where telegrams may be under way."""
+        """The simulated wires, on which telegrams may be in transit."""
         return self.to_pc, self.from_pc
 
     def start(self) -> None:
-        """Start the Robot Server's process, or start it anew."""
+        """Start or restart the Robot Server's process."""
         super().start()
         self._rsi = self._driver(self.server)
         self._peer = Peer(None, self._krc_timeout_s)
@@ -178,13 +180,13 @@ class KrcArm(VirtualArm):
         super().kill()
 
     def thaw(self) -> None:
-        """Let the Robot Server go on; of the telegrams that came meanwhile it answers the newest."""
+        """Resume a frozen Robot Server; it answers the newest telegram that arrived meanwhile."""
         super().thaw()
         if self._unanswered is not None:
             self._read(self._unanswered, self._now(), _KRC)
 
     def begin_cycle(self, now_s: float) -> None:
-        """The KRC's clock ticks."""
+        """Begin a cycle of the KRC: it sends its telegram, and others send forged ones."""
         telegram = self.krc.tick()
         self._sent_s = now_s
         if telegram is not None:
@@ -195,7 +197,7 @@ class KrcArm(VirtualArm):
                 self._others.append(self.bombard(telegram))
 
     def pump(self, now_s: float) -> None:
-        """Carry telegrams and replies that arrive by now."""
+        """Deliver the telegrams and replies that arrive until now_s."""
         arrived = self.to_pc.take(now_s)
         if self.life is Life.FROZEN and arrived:
             self._unanswered = arrived[-1]
@@ -212,7 +214,7 @@ class KrcArm(VirtualArm):
             self.krc.receive(datagram, now_s - self._sent_s)
 
     def end_cycle(self, now_s: float) -> None:
-        """Notice a KRC that has been silent for too long."""
+        """End the cycle: tell the Robot Server if the KRC has been silent for its timeout."""
         if self.life is Life.RUNNING and now_s - self._heard_s >= self._krc_timeout_s:
             self._heard_s = now_s
             self.server.krc_silent(now_s + self.clock_s)

@@ -266,11 +266,11 @@ class VirtualCell:
         self._hli.do(lambda: self.carry_out(self.hli.requests.on_connection_lost(leases, self._hli_s)))
 
     def stop(self) -> list[Message]:
-        """Press stop; where the answer comes."""
+        """Press stop; returns the object that receives the answer."""
         return self._asked(StopRequest())
 
     def reset(self, robot: str) -> list[Message]:
-        """Ask for a reset; where the answer comes."""
+        """Ask for a reset; returns the object that receives the answer."""
         return self._asked(ResetRequest(robot=robot))
 
     def status(self) -> Status:
@@ -280,7 +280,7 @@ class VirtualCell:
     # --- routing ------------------------------------------------------------------------------------------
 
     def gate_takes(self, message: Message) -> list[ToTopic]:
-        """The gate's answers to a message that has come."""
+        """The gate's answers to a received message."""
         return self.sim.take(message)
 
     def carry_out(self, outputs: list[Output]) -> None:

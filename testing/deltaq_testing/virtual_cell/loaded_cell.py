@@ -40,7 +40,7 @@ class LoadedCell:
         return cls(model, model.description_message(), find_cell(cell_name))
 
     def ethernet_xml(self, robot: str) -> Path | None:
-        """What the KRC of a robot has loaded; None for a robot that is no KUKA."""
+        """The ethernet file of a robot's KRC; None for a kinematic robot."""
         driver = self.model.description.robots[robot].driver
         return resolve_near(self.file, driver.ethernet_xml) if isinstance(driver, RsiDescription) else None
 

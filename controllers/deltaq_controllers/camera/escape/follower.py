@@ -115,7 +115,7 @@ class EscapePlan:
         return first[place].copy(), int(until[place]), then[place].copy()
 
     def _aged(self, course: tuple[Array, int, Array]) -> tuple[Array, int, Array]:
-        """The course as it is a cycle later."""
+        """The candidate trajectory, one cycle later."""
         first, until, then = course
         self._since_s += self._cycle_s
         if self._since_s < self._gains.step_s:

@@ -81,7 +81,7 @@ class PlainTelegrams:
 
 
 def bounded(late: int) -> int:
-    """A count of late replies as it fits into a record."""
+    """A count of late replies, bounded to the field of a record."""
     return max(-_MOST_LATE, min(late, _MOST_LATE))
 
 

@@ -49,7 +49,7 @@ class OwnerMutex:
         self._do("pthread_mutex_lock", self._mutex)
 
     def wait(self) -> None:
-        """Wait until its owner lets go of it, or has died."""
+        """Wait until its owner releases it, or has died."""
         self._do("pthread_mutex_lock", self._mutex)
 
     def let_go(self) -> None:
@@ -85,7 +85,7 @@ class CrashMemory:
 
     @staticmethod
     def bytes_for(records: CrashRecords) -> int:
-        """How much memory such records need with all that lies beside them."""
+        """Size of the shared memory for such records [bytes]."""
         return records.total + _FLAGS_BYTES + MUTEX_BYTES
 
     @property
@@ -99,7 +99,7 @@ class CrashMemory:
 
     @property
     def released(self) -> bool:
-        """Whether the Robot Server ended as it should: there is nothing to brake."""
+        """Whether the Robot Server ended in order, so that there is nothing to brake."""
         return self._file[self._flags + _RELEASED] != 0
 
     @released.setter
@@ -127,9 +127,9 @@ class CrashMemory:
         self._file[: self._records.sent_at] = bytes(self._records.sent_at)
 
     def newest(self) -> LastReply | None:
-        """What the Robot Server left."""
+        """The newest record of the Robot Server."""
         return self._records.newest(self._file[: self._records.total])
 
     def close(self) -> None:
-        """Let go of the memory, so that it can be closed."""
+        """Release the memory, so that it can be closed."""
         del self.mutex

@@ -30,7 +30,7 @@ _LOCK_ALL = 1 | 2
 
 
 def main() -> int:
-    """Wait for the end of the Robot Server; brake unless it ended as it should."""
+    """Wait for the end of the Robot Server; brake unless it ended in order."""
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     shared, listening = map(int, sys.argv[1:3])

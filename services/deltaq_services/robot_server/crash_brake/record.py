@@ -58,7 +58,7 @@ class CrashRecord:
 
 
 class LastReply(NamedTuple):
-    """What a Robot Server left.
+    """The last reply of a dead Robot Server, and what is known of it.
 
     Attributes:
         record: of its last reply.

@@ -206,7 +206,7 @@ class CrashWatch:
 
     @property
     def detail(self) -> str:
-        """The fault, for people; empty if there is none."""
+        """The fault, as text; empty if there is none."""
         if self.ready:
             return ""
         return f"the crash brake's process {self._fault() or 'is starting'}"
