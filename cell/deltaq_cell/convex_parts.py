@@ -80,7 +80,10 @@ def close_hull(points: Array) -> Corners:
         hull = points_of(convex_hull(points))
     except RuntimeError:  # coal takes no corner with more than 255 neighbours
         hull = np.unique(points, axis=0)
-    return as_told(hull if len(hull) <= MOST_CORNERS else _around(hull))
+    corners = hull if len(hull) <= MOST_CORNERS else _around(hull)
+    while len(again := points_of(convex_hull(corners))) < len(corners):
+        corners = again  # without those that are in a face but for rounding
+    return as_told(corners)
 
 
 def _around(hull: Array) -> Array:
@@ -114,7 +117,7 @@ def _around(hull: Array) -> Array:
     middle = corners.mean(axis=0)
     larger = (((hull - middle) @ normals.T).max(axis=0) / (reach - normals @ middle)).max() + 1e-9
     grown: Array = middle + max(1.0, larger) * (corners - middle)
-    return points_of(convex_hull(grown))
+    return grown
 
 
 def _faced(points: Array) -> tuple[Array, Integers, Array, Array]:
