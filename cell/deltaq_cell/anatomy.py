@@ -15,11 +15,11 @@ from deltaq_protocol.arrays import Array
 
 
 def anatomy_of(model: Any, structure: Sequence[Any], robots: Sequence[Bodies]) -> Anatomy:
-    """What stays of a cell.
+    """The fixed data of a cell for the kernel: joints, bodies, and which joints move which body.
 
     Args:
-        model: pinocchio's, of all robots.
-        structure: bodies that stand; they come first.
+        model: pinocchio's joint model of all robots.
+        structure: geometry of the structure; these bodies come first.
         robots: the bodies of each robot, in the order of the model.
     """
     joints = model.nv
@@ -82,7 +82,7 @@ def anatomy_of(model: Any, structure: Sequence[Any], robots: Sequence[Bodies]) -
 
 
 def placed_at_first(cell: Anatomy) -> Placed:
-    """Bodies before any robot was placed: standing bodies have their final place."""
+    """Placements before any robot was placed; only the structure has its final ones."""
     bodies, joints = cell.moved_by.shape
     return Placed(
         rotation=np.zeros((joints, 3, 3)),

@@ -54,7 +54,7 @@ class CellModel:
     """A cell's description with the models of its robots and its structure.
 
     Attributes:
-        description: as its YAML gives it.
+        description: the fields of its YAML.
         robots: name to model, in the order of the description.
         structure: fixed bodies, in world coordinates, named `structure/...`.
         yaml: the YAML text.

@@ -107,7 +107,7 @@ class ModelCheck:
     """Checks, each a generator of problems.
 
     Args:
-        cell: as its file says.
+        cell: its description.
         placed: makes the problems.
     """
 
@@ -211,7 +211,7 @@ class ModelCheck:
                 yield self._at(("robots", name, "joints"), message, distance, group.stop_distance_m)
 
     def _told(self, cell: CellModel) -> Iterator[Problem]:
-        """The description is not too long to be sent to clients."""
+        """Check that the description is short enough for messages to clients."""
         try:
             cell.description_message()
         except LongDescriptionError as error:

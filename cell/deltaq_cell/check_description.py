@@ -35,7 +35,7 @@ class DescriptionCheck:
 
     Args:
         path: of the cell's file.
-        cell: as it says.
+        cell: its description.
         placed: makes the problems.
     """
 
@@ -120,7 +120,7 @@ class DescriptionCheck:
         yield self._at((field,), told, value)
 
     def _timing(self) -> Iterator[Problem]:
-        """No deadline of the gate is so short that a healthy cycle misses it."""
+        """Check that a healthy cycle meets every deadline of the gate."""
         least = 2 * self._cell.cycle_s
         for name in ("max_request_age_s", "gate_timeout_s", "hli_timeout_s", "krc_timeout_s"):
             value = getattr(self._cell.gate, name)
@@ -144,7 +144,7 @@ class DescriptionCheck:
                 yield self._at(field, str(error), robot.driver.ethernet_xml)
 
     def _cycle(self, name: str, robot: RobotDescription) -> Iterator[Problem]:
-        """The cell's cycle is one that the KRC can have: each of its telegrams takes one increment."""
+        """Check that the KRC can have the cell's cycle: each of its telegrams takes one increment."""
         if not isinstance(robot.driver, RsiDescription):
             return
         cycles = KRC_CYCLES_S[robot.driver.krc]
@@ -171,7 +171,7 @@ class DescriptionCheck:
             yield self._at(("gate", "servo_lag_s"), message, presumed_s, least_s)
 
     def _krc_files(self, name: str, robot: RobotDescription) -> Iterator[Problem]:
-        """The KRC's files can be safe and agree with the cell."""
+        """Check that the KRC's files are safe and agree with the cell."""
         try:
             found = judge_krc_files(self._path, robot, self._cell.cycle_s)
         except FileNotFoundError:

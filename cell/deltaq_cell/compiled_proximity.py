@@ -177,7 +177,7 @@ class CompiledProximity(ProximityEngine):
 
         Args:
             groups: one of this object's own lists, the failing groups of a look, or a few of its groups; not empty.
-            room_m: what is asked for beyond each stop distance [m].
+            room_m: clearance required beyond each stop distance [m].
         """
         listed = self._as_listed(groups)
         if not listed.numbers.size:
@@ -268,7 +268,7 @@ class CompiledProximity(ProximityEngine):
             mine: tube of one robot.
             theirs: tube of another; None if the groups are of the one robot and what stands.
             groups: one of this object's own lists, or a few of their groups.
-            room_m: what is asked for beyond each stop distance, which is positive with it [m].
+            room_m: clearance required beyond each stop distance; their sum is positive [m].
             budget: how many pairs may be searched in parts of the tubes and be followed by others.
             tells: whether the tightest pair is to be returned.
         """

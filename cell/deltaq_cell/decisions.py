@@ -46,7 +46,7 @@ class WholeCertificate:
 
     Attributes:
         holds: whether every pair keeps the requested distance anywhere in the tube.
-        left: what is left of the budget.
+        left: remaining budget [searches].
         tightest: the pair with the least room, of all first looks or of the failing one; None without pairs.
         stop_distance_m: of that pair [m].
         failing: the pairs that are not certified; empty if it holds.
@@ -170,7 +170,7 @@ class Decisions:
             robot: its name.
             mine: its tube.
             against: tubes and bodies against which it is checked.
-            room_m: what is asked for beyond each stop distance, which is positive with it [m].
+            room_m: clearance required beyond each stop distance; their sum is positive [m].
             budget: how many pairs may be searched in parts of the tubes.
             tells: whether the tightest pair is asked for.
         """
@@ -225,7 +225,7 @@ class Decisions:
             refused: a share that could not be certified.
             against: tubes and bodies against which the robot's tube is checked.
             suspects: the pairs at which that failed: the other robot, if any, and the numbers of the pairs.
-            room_m: what is asked for beyond each stop distance, which is positive with it [m].
+            room_m: clearance required beyond each stop distance; their sum is positive [m].
             budget: how many pairs may be searched in parts of the tubes, for all shares together.
             trial_budget: the part of it that one trial of suspects may spend on one other tube.
             halvings: how finely a share is searched.
@@ -368,7 +368,7 @@ class Division:
 
     Attributes:
         holds: whether every pair keeps the requested distance anywhere in them.
-        left: what is left of the budget.
+        left: remaining budget [searches].
         tightest: the pair with the least room, in the first look or in that which failed; None if there are none.
         stop_distance_m: of that pair [m].
         failing: the pairs that were left open where it failed; none if it holds.

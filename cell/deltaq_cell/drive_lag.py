@@ -41,7 +41,7 @@ class AxisLag:
         mean_s: mean delay: by how much a ramp lags behind.
         settled_s: until it has arrived up to REMAINDER, and stays so; infinite if it does not.
         least_s: the same as far as the measurement proves it: with its uncertainty on top of REMAINDER.
-        overshoot: by which share of a step the axis passes it.
+        overshoot: fraction of a step by which the axis overshoots.
     """
 
     dead_s: float

@@ -174,7 +174,7 @@ def is_file(path: Path) -> bool:
 
 
 def is_folder(path: Path) -> bool:
-    """The same for a folder."""
+    """The entry is a folder."""
     return os.path.isdir(path)  # noqa: PTH112 - pathlib's raises
 
 

@@ -29,7 +29,7 @@ _PLACES_OF_DRIVER = {"address", "port", "control_port", "krc_address", "ethernet
 
 
 def content_identity(cell: CellDescription) -> CellIdentity:
-    """The identity of a cell of which only the description was read."""
+    """Identity of a cell, from its description alone."""
     fields = cell.model_dump(mode="json", exclude=_PLACES)
     for robot in fields["robots"].values():
         _leave_out(robot, _PLACES_OF_ROBOT)

@@ -188,7 +188,7 @@ def _fields_at(loc: tuple[str | int, ...], root: type[BaseModel]) -> list[str]:
 
 
 def _below(model: Any, part: str | int) -> list[Any]:
-    """The models that field or key `part` of a model can hold."""
+    """The models possible as field or key `part` of a model."""
     annotation = model.model_fields[part].annotation if part in model.model_fields else None
     if annotation is None:
         # a key of a mapping or the branch of a union: the models below are those found before

@@ -41,7 +41,7 @@ def reach_of(cell: Anatomy, joints: tuple[int, int], bodies: tuple[int, int]) ->
     """The reach of one robot.
 
     Args:
-        cell: what stays.
+        cell: the fixed data of the cell.
         joints: the robot's first joint, and one more than its last.
         bodies: likewise for its bodies.
     """

@@ -150,7 +150,7 @@ class CarriedFrames:
         description: the robot as its cell describes it.
         name: the robot's name in the cell; its bodies' names begin with it (`fr/link_5`).
         model: `pinocchio.Model`, is added to.
-        source: what an error calls the model.
+        source: name of the model in errors.
 
     Attributes:
         hands: names of the frames that the robot works with: its hands', or `tool` alone.
@@ -265,7 +265,7 @@ def check_rotations(model: Any, bodies: Iterable[Any], configurations: Sequence[
         model: pinocchio's.
         bodies: pinocchio geometry objects on its joints.
         configurations: (n,) each, at which the joints are placed.
-        source: what an error calls the model.
+        source: name of the model in errors.
 
     Raises:
         RobotModelError: one is not; the error names it.
@@ -298,7 +298,7 @@ def check_sizes(bodies: Sequence[Any], reach_m: float, source: str) -> None:
     Args:
         bodies: pinocchio geometry objects; not empty.
         reach_m: of the robot, see `reach`.
-        source: what an error calls the model.
+        source: name of the model in errors.
 
     Raises:
         RobotModelError: one is; the error names it.

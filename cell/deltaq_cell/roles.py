@@ -9,7 +9,7 @@ from deltaq_protocol.errors import DeltaqError
 
 
 class RoleError(DeltaqError):
-    """A robot that cannot have the role that it was given."""
+    """A robot is unfit for its given role."""
 
 
 @dataclass(frozen=True)

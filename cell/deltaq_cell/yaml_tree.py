@@ -123,7 +123,7 @@ def _without(section: str, base: YamlNode | None, over: YamlNode) -> tuple[YamlN
 
 
 def shown(value: object) -> Scalar:
-    """A value as a message and JSON can carry it."""
+    """A value in a form that messages and JSON can carry."""
     if value is None or isinstance(value, (bool, int)):
         return value
     if isinstance(value, float):

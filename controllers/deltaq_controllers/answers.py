@@ -84,7 +84,7 @@ class Answers:
         self._catch_up = CatchUp()
 
     async def due(self, state: RobotState) -> Sequence[int]:
-        """The cycles for which increments are to be sent now.
+        """The cycles for which to send increments now.
 
         Usually that is the state's own cycle. With a lookahead, cycles of missed states are due as well, if their
         answers are still in time. Without one, no cycle is due if `CatchUp` leaves the state out.
@@ -129,7 +129,7 @@ class Answers:
         self._come.append(self._awaited)
 
     def verdicts(self) -> list[Verdict | None]:
-        """The first verdict on each increment of which it is known since the last call; None if it never came."""
+        """First verdicts on increments since the last call; None for each lost one."""
         come, self._come = self._come, []
         return come + [None] * self._in_flight.take_given_up()
 
@@ -141,7 +141,7 @@ def view_ahead(state: RobotState, ahead: Ahead) -> RobotView:
 
 
 def own_view(state: RobotState, verdict: Verdict | None = None) -> RobotView:
-    """The state of the robot that is moved.
+    """The controller's own robot, from its newest state.
 
     Args:
         state: its newest.
@@ -154,7 +154,7 @@ def own_view(state: RobotState, verdict: Verdict | None = None) -> RobotView:
 
 
 def view_of(cell: Cell, robot: str, own: RobotView, clocks: RobotClocks) -> View:
-    """The view of the robot that is moved, and the newest states of all others, stamped on its clock.
+    """The view of a controller: its own robot, and the newest states of all others, stamped on the own robot's clock.
 
     A robot without a state, or with an unknown clock, is left out: the age of its state is unknown.
     """

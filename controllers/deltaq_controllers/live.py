@@ -262,7 +262,7 @@ def run(
 
     Args:
         controller: the coroutine; SIGTERM and SIGINT cancel it, which brings the robot to rest.
-        summary: what to print when it has ended.
+        summary: gives the object to print at the end.
         name: of the controller, for what it logs.
         robot: name of the robot that it moves.
     """

@@ -73,7 +73,7 @@ class PathClock:
 
         Args:
             asked_s: when the request went out, on this clock [s].
-            stamp_s: what the other clock showed in between [s].
+            stamp_s: time of the other clock, read in between [s].
             answered_s: when the answer had come, on this clock [s].
 
         Raises:

@@ -106,7 +106,7 @@ LOOK_S = 0.5
 
 @dataclass(frozen=True)
 class Switched:
-    """An output that was switched, or was to be.
+    """The result of switching an output.
 
     Attributes:
         output: its name.

@@ -22,8 +22,8 @@ class Corrections:
     """The correction object of the controller (AXISCORR and AXISCORREXT), and the signals that come with it.
 
     Args:
-        codec: knows HOLDON of every element.
-        limits: where the total correction is clipped.
+        codec: gives HOLDON of every element.
+        limits: bounds at which the total correction is clipped.
     """
 
     def __init__(self, codec: KrcCodec, limits: CorrectionLimits) -> None:

@@ -25,7 +25,7 @@ class Monitors:
     Args:
         robot: software limit switches, speeds and accelerations.
         axes: its axes, for messages.
-        settings: how far each may be exceeded.
+        settings: tolerances of the limits.
         cycle_s: duration of a cycle [s].
         correction: (n,) total correction at which RSI is stopped [rad or m].
     """

@@ -77,11 +77,11 @@ class ReplyJudge:
 
     @property
     def waiting(self) -> bool:
-        """A telegram of this session has been sent."""
+        """Whether a telegram of this session has been sent."""
         return self._current is not None
 
     def sent(self, ipoc: int) -> None:
-        """A telegram with this time stamp goes out."""
+        """Note that a telegram with this time stamp is sent."""
         self._current = ipoc
         self._answered[ipoc] = False
         while len(self._answered) > HISTORY:

@@ -196,7 +196,7 @@ PROFILES: dict[str, Profile] = {
 
 
 def profile_for(krc: str, cycle_s: float) -> Profile:
-    """The profile of a controller that is to run at this cycle.
+    """The profile of a controller, checked for its cycle.
 
     Raises:
         SettingsError: if there is no such controller or it cannot run at this cycle.

@@ -87,8 +87,8 @@ class Emulator:
     Args:
         robot: its name in the cell.
         krc: the controller.
-        server: where the Robot Server listens.
-        panel: where the operator's requests are taken, or None.
+        server: address of the Robot Server.
+        panel: address of the operator's panel; None for none.
         seed: of the network's faults.
         address: of the controller itself, which telegrams come from; None: as the system chooses.
 

@@ -67,7 +67,7 @@ def seen(scene: Scene, trace: Trace, target: Callable[[Array], Array]) -> SeenRu
     """The target's visibility in a run.
 
     Args:
-        scene: who watches whom.
+        scene: the roles of the robots.
         trace: of its robots.
         target: returns the watched point (3,) in the world from the leader's configuration [m].
     """
@@ -94,7 +94,7 @@ def summary(
     Args:
         experiment: its name.
         options: of the run.
-        scene: who watches whom.
+        scene: the roles of the robots.
         recording: of the run.
         angle_deg: (k,) view angle error.
         distance_error_m: (k,) view distance less the desired one.

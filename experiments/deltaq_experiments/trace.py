@@ -43,7 +43,7 @@ class Trace:
 
         Args:
             camera: controller with the camera and its focus.
-            scene: who watches whom.
+            scene: the roles of the robots.
         """
         pairs = zip(self.q[scene.robot_name], self.q[scene.leader_name], strict=True)
         both: Array = np.array([camera.errors(q, q_leader) for q, q_leader in pairs])

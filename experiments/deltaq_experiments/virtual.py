@@ -24,7 +24,7 @@ class RunRecord:
     """Result of a run.
 
     Attributes:
-        trace: where the robots were.
+        trace: configurations of the robots over time.
         gate: verdicts by outcome.
         reasons: reasons by code.
         gate_by_robot: verdicts by outcome, of each robot whose verdicts were listened to.

@@ -59,7 +59,7 @@ def described(
         joint_limits: MoveIt's `joint_limits.yaml`; None for that beside the SRDF, if any.
         locked: joints that do not move, and where they are [rad or m].
         q: (n,) start; None for zero, or the middle of a joint's limits if zero is outside [rad or m].
-        tolerance: how far each joint may be beside its setpoints [rad or m].
+        tolerance: permitted deviation of each joint from its setpoints [rad or m].
 
     Raises:
         GateError: a limit is missing or cannot be, or a file cannot be read.

@@ -167,7 +167,7 @@ class Gate:
             stop_distance_m: least distance of the arm from obstacles [m].
             self_stop_distance_m: least distance between two links [m].
             lag_s: how long the drives may still travel a setpoint after it was sent; by default one cycle [s].
-            tolerance: how far a joint may be beside its setpoints of that time [rad or m].
+            tolerance: permitted deviation of a joint from its setpoints of that time [rad or m].
 
         Raises:
             GateError: a parameter, a limit or an obstacle cannot be; it has field, value, bound and remedy.
@@ -202,7 +202,7 @@ class Gate:
         Args:
             cell: name or file; structure, margins and limits are the cell's.
             obstacles: beside its structure.
-            q: where robots start, each (n,); the others start at home [rad or m].
+            q: start configurations by robot, each (n,) [rad or m]; robots without one start at home.
 
         Raises:
             CellError: there is no such cell, or its file has errors.

@@ -60,7 +60,7 @@ class MotionError(RefusedError):
         code: the reason, one of `deltaq_protocol.reasons.ReasonCode`.
         what: the joint or the pair of bodies that the reason names.
         value: the requested value [rad, m or their rates]; None if the reason has none.
-        bound: what is allowed, in the unit of `value`.
+        bound: the allowed value, in the unit of `value`.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ def checked(robot: str, verdict: Verdict, summary: RobotSummary | None = None) -
 
 
 def held(state: RobotState) -> MotionError:
-    """The error of a robot that is held."""
+    """The error for a robot that is held."""
     reason = None if state.reason is None else Reason(code=state.reason)
     remedy = f"when the cause is gone and it is safe, `deltaq reset --robot {state.robot}`"
     return MotionError(f"{state.robot} is held", reason, remedy)
@@ -217,7 +217,7 @@ class Motion:
         return point
 
     def _place(self, q_cmd: Array) -> float:
-        """The place of the path that is nearest to a setpoint, not before the last one."""
+        """The place on the path nearest to a setpoint, not before the last one."""
         segments = len(self._path) - 1
         first = min(int(self._at * segments), segments - 1)
         best, nearest = self._at, math.inf

@@ -32,9 +32,9 @@ class GateError(DeltaqError):
 
     Attributes:
         field: the parameter that is wrong, such as `dq` or `obstacles.table.at`.
-        value: what was given.
-        bound: what is allowed.
-        remedy: what to do about it.
+        value: the given value.
+        bound: the allowed value.
+        remedy: what the caller can do.
     """
 
     def __init__(self, field: str, value: object, bound: str, remedy: str) -> None:

@@ -205,7 +205,7 @@ class BlockingRobot:
         return self._robot.send_now(dq, cycle)
 
     def new_verdicts(self) -> list[Verdict]:
-        """The verdicts that have come on increments sent with `send`; see `LeasedRobot.new_verdicts`."""
+        """The verdicts on increments sent with `send` since the last call; see `LeasedRobot.new_verdicts`."""
         return self._robot.new_verdicts_now(self._renew)
 
     def verdicts(self) -> Iterator[Verdict]:

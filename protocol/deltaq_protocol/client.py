@@ -181,7 +181,7 @@ class Cell:
         return await self._asking.ask_with_role(Done, topics.RESET, request)
 
     async def dry_run(self, robot: str, dq: ArrayLike) -> Verdict:
-        """The gate's verdict on an increment if it came now; nothing moves.
+        """The gate's verdict on an increment in the present state; nothing moves.
 
         Args:
             robot: its name.
@@ -307,7 +307,7 @@ class Cell:
 
         Args:
             robot: name of the robot.
-            client: what others see as the holder's name; otherwise the name given to `connect`.
+            client: the holder's name for others; by default the name given to `connect`.
             take: take the lease from its present holder; this is logged.
             playout: use a jitter buffer: increments that come unevenly wait in the HLI, so that each cycle has one.
                 For a controller that sends with `send` and whose round trip (`round_trip_s`) takes longer than a

@@ -53,7 +53,7 @@ TELEOPERATION = tuple(DrivingMode)[:5]
 
 
 class Frame(StrEnum):
-    """The axes in which a hand is moved."""
+    """The axes along which a hand moves."""
 
     WORLD = "world"
     TOOL = "tool"

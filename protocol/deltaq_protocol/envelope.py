@@ -66,7 +66,7 @@ class Envelopes:
         return _CHECKSUM.pack(_checksum(key, body)) + body
 
     def open(self, key: str, enclosed: bytes) -> bytes:
-        """The message that came under a zenoh key, to be acted upon.
+        """Check an envelope received under a zenoh key, and return its message.
 
         Raises:
             InvalidMessageError: it was damaged on its way.

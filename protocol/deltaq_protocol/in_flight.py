@@ -35,7 +35,7 @@ _MAY_MOVE = (Phase.READY, Phase.ENGAGED, Phase.BRAKING)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ahead:
-    """The setpoint that the next increment is added to.
+    """The setpoint to which the next increment is added.
 
     Attributes:
         cycle: cycle of the setpoint.
@@ -115,7 +115,7 @@ class InFlight:
         return is_first
 
     def ahead(self, state: RobotState) -> Ahead:
-        """The setpoint that the next increment is added to, if it answers this state, the newest so far."""
+        """The setpoint to which an increment in answer to this state, the newest so far, is added."""
         self._cycle_passed(state)
         if state.phase not in _MAY_MOVE:
             return Ahead(state.cycle, np.array(state.q_cmd), 1)
@@ -133,7 +133,7 @@ class InFlight:
         return given_up
 
     def cycles_to_answer(self, state: RobotState) -> Sequence[int]:
-        """The cycles of which increments are due now: that of the state, and of those before that were missed.
+        """The cycles for which increments are due now: that of the state, and those of missed states.
 
         An increment that was not sent leaves a setpoint of the lookahead unused. It can be sent later, as long as
         there is room for it.

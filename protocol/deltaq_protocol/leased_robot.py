@@ -53,7 +53,7 @@ class SentVerdicts:
         self.queue: asyncio.Queue[Verdict] = asyncio.Queue(_MOST)
 
     def expect(self, seq: int) -> None:
-        """An increment is about to be sent."""
+        """Note that an increment is about to be sent."""
         self._sent.append(seq)
 
     def take(self, verdict: Verdict) -> None:

@@ -36,7 +36,7 @@ class LogFormat(StrEnum):
 
 
 class LogFormatError(DeltaqError):
-    """A format that there is not."""
+    """An unknown log format."""
 
 
 def log_format(environment: Mapping[str, str] = os.environ) -> LogFormat:

@@ -54,7 +54,7 @@ def open_session(
         listen: endpoints to listen on, e.g. `tcp/127.0.0.1:7447`.
         connect: endpoints to connect to; lost connections are made again.
         must_connect: fail at once if an endpoint cannot be reached, instead of trying for ever.
-        access: who may send what here, as `deltaq_protocol.access` returns it; None: anybody may send anything.
+        access: permissions from `deltaq_protocol.access`; None: every peer may send every topic.
         tls: certificates of `tls/` endpoints, as zenoh's configuration has them.
 
     Raises:

@@ -99,7 +99,7 @@ class Stamps:
         """Stamp now, or with a time that was taken before; any thread may.
 
         Args:
-            station: where.
+            station: the place of the stamp.
             robot: robot of the increment or state.
             cycle: its cycle, see `StampStation`.
             detail: see `StampStation`.

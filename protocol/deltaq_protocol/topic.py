@@ -130,8 +130,8 @@ class Topic:
         name: its name, as in `deltaq topic echo NAME`.
         template: zenoh key with `{cell}`, `{robot}` and `{service}` to be filled in.
         message: type of the payload.
-        publishers: who publishes the stream, or asks the query.
-        readers: who reads the stream, or answers the query.
+        publishers: parties that publish the stream, or ask the query.
+        readers: parties that read the stream, or answer the query.
         rate: how often it comes; None: on demand.
         reply: type of the reply of a query.
         max_age_cycles: older messages, in cycles of the robot, are not acted upon; None if cycles do not count.

@@ -165,7 +165,7 @@ class Newest(Generic[S, T]):
     A sample is decoded when it is read, once. The loop is woken only while somebody in it awaits.
 
     Args:
-        loop: in which `after` is awaited.
+        loop: the event loop in which `after` is awaited.
         decode: the value of a sample; None keeps the previous value.
     """
 

@@ -21,7 +21,7 @@ class Counted:
     Attributes:
         service: the service that counts it.
         name: as in the status, with its variable part in braces.
-        meaning: what was counted.
+        meaning: the counted events.
     """
 
     service: str

@@ -88,5 +88,5 @@ Output = ToTopic | ToSender
 
 
 def published(outputs: Iterable[Output], realm: Realm) -> list[ToTopic]:
-    """The outputs that are published in a realm."""
+    """Outputs to publish in a realm."""
     return [output for output in outputs if isinstance(output, ToTopic) and output.topic.realm is realm]

@@ -114,7 +114,7 @@ class Tries:
         return address not in self._rates or self._rates[address].has_left(time_s)
 
     def failed(self, address: str, time_s: float) -> None:
-        """A wrong token came from there."""
+        """Count a wrong token from an address."""
         while len(self._rates) >= _MOST_PEERS and address not in self._rates:
             del self._rates[next(iter(self._rates))]
         self._rates.setdefault(address, RateLimit(MOST_TRIES_S)).take(time_s)

@@ -13,7 +13,7 @@ _OTHERS = stat.S_IRWXG | stat.S_IRWXO
 
 
 class RuntimeFolderError(DeltaqError):
-    """A folder for secrets that is not this user's alone."""
+    """The folder for secrets is not private to this user."""
 
 
 def runtime_folder() -> Path:
@@ -30,11 +30,11 @@ def runtime_folder() -> Path:
 
 
 def private_folder(folder: Path, remedy: str) -> Path:
-    """A folder that only this user can enter, made if need be.
+    """A folder that only this user can enter; made if it does not exist.
 
     Args:
         folder: its path; the one above it exists.
-        remedy: what to do if it is not, for people.
+        remedy: text for an error: what the user can do.
 
     Raises:
         RuntimeFolderError: it cannot be made, another user owns it, or others may enter it.

@@ -32,7 +32,7 @@ class Adversary:
     """Changes its tactic at random times, from a seed.
 
     Args:
-        robot: what it drives.
+        robot: the robot that it drives.
         cycle_s: sample time of the robot.
         random: source of all its choices.
     """

@@ -33,7 +33,7 @@ class ControllerProcess:
 
     Args:
         command: the program and its arguments; `{port}` stands for the port to connect to.
-        folder: that it is started in; None for the one that this program runs in.
+        folder: its working folder; None for the present one.
         patience_s: how long it is waited for.
 
     Raises:
@@ -140,14 +140,14 @@ class LineController:
     """One connection of a program to the HLI.
 
     Args:
-        robot: that it drives.
+        robot: the robot that it drives.
         program: the program; it is started.
         note: gets all messages of the HLI.
         gone: called when the program has closed its end.
         say: sends to the HLI.
 
     Attributes:
-        robot: that it drives.
+        robot: the robot that it drives.
         token: of its lease; None without one.
         misbehaviour: of a fault; None while its increments are sent unchanged.
     """

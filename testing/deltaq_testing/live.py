@@ -57,8 +57,8 @@ class LiveCell(Observed):
         records: that these write, by robot.
 
     Attributes:
-        url: where its HLI serves zenoh clients.
-        tcp_port: where it serves JSON lines, on 127.0.0.1.
+        url: address of its HLI for zenoh clients.
+        tcp_port: its port for JSON lines, on 127.0.0.1.
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class LiveCell(Observed):
 
         Args:
             command: the program and its arguments, in which `{port}` stands for `tcp_port` and `{url}` for `url`.
-            folder: that it is started in; None for the one that this program runs in.
+            folder: its working folder; None for the present one.
 
         Raises:
             CellUseError: it cannot be started.

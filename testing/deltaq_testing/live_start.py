@@ -69,7 +69,7 @@ class LiveCells:
         self._cell: LiveCell | None = None
 
     def __enter__(self) -> Self:
-        """Nothing runs before a cell is asked for."""
+        """Enter; no cell is started yet."""
         return self
 
     def __exit__(
@@ -79,7 +79,7 @@ class LiveCells:
         self._running.close()
 
     def get(self, cell: str, robot: str | None) -> LiveCell:
-        """A cell whose robots are ready, the one under test at home; raises as `live_cell` does."""
+        """A cell with ready robots, the one under test at home; raises as `live_cell` does."""
         if self._cell is not None and self._asked == (cell, robot) and self._cell.renew():
             return self._cell
         self._running.close()

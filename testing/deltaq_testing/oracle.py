@@ -329,7 +329,7 @@ def rows_of(record: Path, from_byte: int = 0) -> Array:
 
     Args:
         record: the file.
-        from_byte: where to begin; the line there is left out, as the heading is.
+        from_byte: start of reading; the line at it is skipped, like the heading.
     """
     with record.open(encoding="utf-8") as file:
         file.seek(from_byte)

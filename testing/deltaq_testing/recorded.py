@@ -47,7 +47,7 @@ def not_there_yet(path: Path) -> Path:
 
 
 class RecordedCell(VirtualCell):
-    """A cell in virtual time that is recorded as a running cell is.
+    """A cell in virtual time, recorded like a running cell.
 
     Attributes:
         writer: of the recording, to be closed in the end.

@@ -81,7 +81,7 @@ class TimedFault:
     __repr__ = __str__
 
     def as_dict(self) -> dict[str, Any]:
-        """The fault as a scenario file has it."""
+        """The fault in the form of scenario files."""
         return {"fault": self.what.name, "at_s": self.at_s, "for_s": self.for_s}
 
 

@@ -152,7 +152,7 @@ class CellUnderTest(Observed):
         Args:
             command: the program and its arguments, in which `{port}` stands for the port of 127.0.0.1 to connect to.
             robot: as of `drive`.
-            folder: that it is started in; None for the one that this program runs in.
+            folder: its working folder; None for the present one.
 
         Raises:
             ControllerProcessError: now or during the run: it cannot be started, or does not answer.

@@ -32,7 +32,7 @@ class TubesCertified(NamedTuple):
 
     Attributes:
         holds: whether every pair keeps the requested distance anywhere in the tubes.
-        left: what is left of the budget.
+        left: remaining budget [searches].
         told: index of the pair with the least room, in the first look or in the failing one; -1 for none.
         travel_m: how far the two bodies travel together in that look [m].
         least_m: bound of their room from below [m].
@@ -70,17 +70,17 @@ def certify(
     """Certify that pairs keep `room_m` beyond their stop distance anywhere in two tubes, or in one.
 
     Args:
-        cell: what stays.
-        placed: is written to; afterwards only some bodies are placed.
+        cell: the fixed data of the cell.
+        placed: working memory; afterwards only some bodies are placed.
         mine: tube of one robot.
         theirs: tube of another; without points, all pairs are of the one robot and what stands.
         pairs: of the cell, or some; every stop distance and `room_m` together are positive.
         asked: (k,) indices of the pairs to be certified; inactive ones are skipped.
-        room_m: what is asked for [m].
+        room_m: required clearance beyond the stop distance [m].
         budget: how many pairs may be searched in parts of the tubes and be followed by others.
         tells: whether the pair with the least room is asked for also where all have theirs.
-        stack: is written to.
-        found: is written to.
+        stack: working memory for pieces.
+        found: receives the findings.
     """
     told, travel_m, least_m, most_m = NONE, 0.0, 0.0, 0.0
     top = 1 if begin(stack, mine, theirs, pairs, asked) else 0
@@ -246,18 +246,18 @@ def certify_all(
     """Certify that a robot keeps `room_m` beyond every stop distance in its whole tube.
 
     Args:
-        cell: what stays.
-        placed: is written to.
+        cell: the fixed data of the cell.
+        placed: working memory for placements.
         mine: the robot's tube.
-        against: what it is held against.
+        against: the bodies that the tube is checked against.
         pairs: all of the cell; every stop distance and `room_m` together are positive.
         every: (pairs,) their indices.
-        room_m: what is asked for [m].
+        room_m: required clearance beyond the stop distance [m].
         budget: of searches in parts of tubes, for all together.
         tells: whether `told` is asked for.
-        stack: is written to.
-        found: is written to.
-        told: is written to, up to where it fails.
+        stack: working memory for pieces.
+        found: receives the findings.
+        told: receives the tightest pair of each tube, up to the first failure.
 
     Returns:
         Which of `against.tubes` it fails at, -1 if it holds; what is left of the budget; and of where it fails whether

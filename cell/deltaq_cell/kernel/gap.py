@@ -130,7 +130,7 @@ def towards_origin(simplex: Array, count: int, is_outside: bool) -> SimplexPoint
     """Nearest point to the origin of the first `count` rows of `simplex` (4, 3), which are reduced to what holds it.
 
     Args:
-        simplex: is written to.
+        simplex: is changed in place.
         count: 1 to 4.
         is_outside: whether the origin is known not to be inside.
 

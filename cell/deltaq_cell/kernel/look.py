@@ -33,14 +33,14 @@ def look(
     """Find the pairs that are not shown to have `room_m` beyond their stop distance.
 
     Args:
-        cell: what stays.
-        placed: where the robots are.
+        cell: the fixed data of the cell.
+        placed: placements of the robots.
         pairs: of the cell.
         chosen: (k,) indices of those that are looked at.
-        room_m: what is asked for [m].
+        room_m: required clearance beyond the stop distance [m].
         aims: whether searches begin anew; if not, they begin with the normals that were found last.
         tells: whether the tightest pair is asked for also where none is open.
-        found: is written to; its `open` tells the pairs.
+        found: receives the findings; `open` has the pairs.
 
     Returns:
         Index of the pair with the least swept distance beyond its stop distance, whether pairs are open, whether one
@@ -88,11 +88,11 @@ def separate(
     """Close the open pairs that planes keep apart over the spans where robots are; none is too near at the middle.
 
     Args:
-        cell: what stays.
-        placed: where the robots are.
+        cell: the fixed data of the cell.
+        placed: placements of the robots.
         pairs: of the cell.
         chosen: (k,) indices of those that were looked at.
-        room_m: what is asked for [m].
+        room_m: required clearance beyond the stop distance [m].
         found: of that look, is written to.
     """
     for index in chosen:
@@ -200,8 +200,8 @@ def keeps(
     """Whether planes keep two bodies apart over the spans where their robots are placed.
 
     Args:
-        cell: what stays.
-        placed: where the bodies are.
+        cell: the fixed data of the cell.
+        placed: placements of the bodies.
         first: number of a body.
         second: number of the other.
         normal: (3,) unit vector from the first to the second.

@@ -26,13 +26,13 @@ def place(
     """Place one robot at the middle of a box; returns the greatest travel of those of its bodies that are placed [m].
 
     Args:
-        cell: what stays.
-        placed: is written to.
+        cell: the fixed data of the cell.
+        placed: receives the result.
         joints: the robot's first joint, and one more than its last.
-        bodies: the same of its bodies.
-        wanted: (bodies,) of the cell, which of them are placed.
-        middle: (n,) of the box, or longer [rad or m].
-        half: (n,) its half-widths, or longer.
+        bodies: its first body, and one more than its last.
+        wanted: (bodies,) whether each body of the cell is to be placed.
+        middle: (n,) middle of the box [rad or m]; further elements are ignored.
+        half: (n,) half-widths of the box [rad or m]; further elements are ignored.
     """
     first, last = joints
     for joint in range(first, last):
@@ -66,13 +66,13 @@ def spread(
     """Set the span of a robot within the box at whose middle it was placed.
 
     Args:
-        cell: what stays.
-        placed: is written to.
+        cell: the fixed data of the cell.
+        placed: receives the result.
         joints: the robot's first joint, and one more than its last.
-        bodies: the same of its bodies.
-        offset: (vertices, n) of the span's vertices from the middle, or larger [rad or m].
-        vertices: how many it has.
-        deviation: (n,) how far it is wide, or longer.
+        bodies: its first body, and one more than its last.
+        offset: (vertices, n) offsets of the span's vertices from the middle [rad or m]; further elements are ignored.
+        vertices: number of vertices.
+        deviation: (n,) half-width of the span beside its vertices [rad or m]; further elements are ignored.
     """
     if bodies[0] < bodies[1]:
         placed.vertices[cell.robot[bodies[0]]] = vertices

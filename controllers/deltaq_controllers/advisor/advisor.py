@@ -129,7 +129,7 @@ class Progress:
         doing: `searching`, `polishing`, `checking` or `finding paths`.
         done: fraction of that step that is done.
         energy: least so far; infinite before the first.
-        trials: so far.
+        trials: number of trials so far.
         options: best first, once they are known; their paths follow one after the other.
     """
 

@@ -233,7 +233,7 @@ class MotionValidator:
 
     Args:
         robot: the robot, whose limits are kept.
-        space: in which the paths lie.
+        space: the space of the paths.
         exact: measures the distances of bodies.
         ends: (k, n) configurations that paths begin and end at; margins are no larger than these have them.
         wider: factor of the usual margin to bodies.

@@ -284,7 +284,7 @@ class PathPlanner:
 
     Args:
         robot: the robot, whose limits are kept.
-        space: in which to look.
+        space: the search space.
         exact: measures the paths that are returned.
         generator: of random numbers.
         start: (n,) where they begin, in the space.

@@ -109,7 +109,7 @@ class CameraInUse:
     Args:
         cameras: the controllers by their leaders.
         leader: the robot that is watched first.
-        outlook: what hides targets from the camera.
+        outlook: computes which bodies hide targets from the camera.
 
     Attributes:
         leader: the robot that is watched.

@@ -177,7 +177,7 @@ def view_tasks(
     Args:
         pose: of the camera.
         q: (n,) configuration [rad or m].
-        aim: what to look at.
+        aim: the target.
         evasion: direction and rate of the evasion.
         gains: weights and shares.
         roll_joint: the joint that levels the picture.
@@ -292,7 +292,7 @@ class QuadraticProgram:
             tasks: weighted rows.
             slowest: (n,) least increment [rad or m].
             fastest: (n,) greatest increment [rad or m].
-            barriers: what to keep, kinds being indices of `prices`.
+            barriers: constraints to keep; their kinds are indices of `prices`.
 
         Returns:
             (n,) increment within its bounds and (m,) slacks [m]; None if the solver found none.

@@ -49,7 +49,7 @@ class Scene:
 
     @property
     def leader(self) -> RobotModel:
-        """The robot that is watched."""
+        """The leader: the robot that the camera watches."""
         return self.cell.robots[self.leader_name]
 
     def focus_at(self, q_leader: Array) -> Array:

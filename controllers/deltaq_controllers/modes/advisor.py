@@ -141,7 +141,7 @@ class AdvisorMode(SteppedMode):
 
     @property
     def begun(self) -> int | None:
-        """The option on whose path the robot is, or was when the choice was withdrawn."""
+        """The option of the present path, or of the path at which the choice was withdrawn."""
         return self._driven
 
     @property

@@ -121,7 +121,7 @@ def of_joint(name: str, position: float, revolute: bool) -> Limitation:
 
 
 def of_speed(name: str) -> Limitation:
-    """A joint that would have to move faster than it can."""
+    """The limitation by a joint's velocity limit."""
     return Limitation(Limit.SPEED, name, f"{name} is at its velocity limit")
 
 
@@ -216,7 +216,7 @@ class Advance(NamedTuple):
 
     Attributes:
         dq: (n,) increment [rad or m].
-        limitation: what limits the operator; None if nothing does.
+        limitation: the limiting factor; None without one.
     """
 
     dq: Array
@@ -274,5 +274,5 @@ class TeleoperationMode(Protocol):
         del option
 
     def advance(self, instant: Instant, asked: Motion, /) -> Advance:
-        """The increment of this cycle towards a motion that is asked for; zero at rest and for no motion."""
+        """The increment of this cycle towards a requested motion; zero at rest without a request."""
         ...

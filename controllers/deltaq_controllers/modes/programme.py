@@ -214,7 +214,7 @@ _NO_RATE_M_S = 1e-12
 
 
 class Wanted(NamedTuple):
-    """The motion that is requested of the tasks in a cycle.
+    """The requested motion of the tasks in a cycle.
 
     Attributes:
         rows: (r, n) displacement of each task per joint displacement, turns as travel [m/rad].
@@ -249,7 +249,7 @@ class Solution(NamedTuple):
     Attributes:
         dq: (n,) increment, within its bounds [rad or m].
         pace: of the tasks along their way.
-        off_line: how far all tasks together fall short of it [m].
+        off_line: error of all tasks together [m].
         joint_forces: (n,) how hard the bound of each joint presses, positive at `fastest`.
         barrier_forces: (k,) how hard each barrier presses.
     """

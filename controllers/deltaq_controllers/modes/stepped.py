@@ -130,7 +130,7 @@ class _Room:
         return joint if beyond[joint] > _SLACK else None
 
     def fastest(self, dq: Array) -> int | None:
-        """The joint that would move faster than it may, worst first."""
+        """Index of the joint that exceeds its velocity limit most; None if none does."""
         share = np.abs(dq) / self._limits.max_dq
         joint = int(np.argmax(share))
         return joint if share[joint] > 1.0 + _SLACK else None
@@ -187,7 +187,7 @@ class SteppedMode(TeleoperationMode):
         return motion
 
     def limitation(self, q: Array, motion: Motion, /) -> Limitation | None:
-        """The limit of the mode itself that keeps it from this motion at `q` (n,)."""
+        """The limit of the mode itself that forbids this motion at `q` (n,)."""
         del q, motion
         return None
 
@@ -196,7 +196,7 @@ class SteppedMode(TeleoperationMode):
         self._motion, self._dq = Motion.rest(*self._motion.shape), np.zeros_like(q)
 
     def advance(self, instant: Instant, asked: Motion) -> Advance:
-        """The increment that is nearest to the requested motion."""
+        """The admissible increment nearest to the requested motion."""
         q, dq_last = instant.q_cmd, instant.dq_last
         wanted = self.bounded(q, asked) if asked else asked
         previous = self._motion.scaled(self._made(dq_last))

@@ -68,7 +68,7 @@ def _share(joints: Array, twists: Array, rates: Array, units: Array, jacobian: A
 
 
 class Reflection:
-    """The share that goes through the mode and the gate, while something limits the operator.
+    """The executed fraction of the command, while something limits the operator.
 
     Args:
         cycle_s: the robot's cycle [s].
@@ -176,11 +176,11 @@ class Teleoperator:
 
     Attributes:
         robot, cycle_s, surroundings, jerk_time_s: as given.
-        command: what the operator commands now.
+        command: the operator's present command.
         frame: the axes in which hands are moved.
         grip: whether hands move by themselves, or hold one object together.
         held: the object that they hold.
-        limitation: what limits the operator in this cycle; None if nothing does.
+        limitation: the limiting factor of this cycle; None without one.
         reflection: the executed fraction of the commanded motion.
 
     Raises:

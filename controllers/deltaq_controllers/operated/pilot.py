@@ -208,7 +208,7 @@ class Pilot:
         self.wishes.rest()
 
     def begin(self) -> None:
-        """A lease begins: commands are dropped, and the grasp is redefined at the present poses."""
+        """Begin a lease: drop commands, and redefine the grasp at the present poses."""
         self.rest()
         self._takes_anew = True
 
@@ -225,7 +225,7 @@ class Pilot:
         return self._follower.sight, self._follower.target
 
     def held(self) -> None:
-        """The robot is held: after a reset it moves only on a new command."""
+        """Note that the robot is held: after a reset it moves only on a new command."""
         self.begin()
         self.leave()
 

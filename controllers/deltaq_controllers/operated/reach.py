@@ -100,7 +100,7 @@ _MEASURED = 12
 
 @dataclass(frozen=True)
 class PlannedReach:
-    """A way that can be driven, and its description for the operator."""
+    """A drivable path, and its description for the operator."""
 
     teleoperator: Teleoperator
     way: Way

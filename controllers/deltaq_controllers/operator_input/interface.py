@@ -67,7 +67,7 @@ def choices_help(
 
 
 def next_mode(teleoperator: Teleoperator) -> DrivingMode:
-    """The mode after the present one that the robot can be driven in."""
+    """The next mode after the present one that the robot supports."""
     modes = TELEOPERATION
     place = modes.index(teleoperator.mode)
     for offset in range(1, len(modes)):
@@ -107,7 +107,7 @@ def hand_axis(hand: str | None, axis: str) -> str:
 
 
 def other_frame(teleoperator: Teleoperator) -> Frame:
-    """The axes in which hands are not moved now."""
+    """The other frame: tool if hands move in world axes, and the reverse."""
     return Frame.WORLD if teleoperator.frame is Frame.TOOL else Frame.TOOL
 
 
@@ -118,7 +118,7 @@ def changed_speed(speed_m_s: float, is_faster: bool) -> float:
 
 
 class OutputChoice:
-    """The digital output that is switched next.
+    """The choice of the digital output to switch.
 
     On and off are separate commands, so it does no harm to press one twice, or without knowing the output's value.
 

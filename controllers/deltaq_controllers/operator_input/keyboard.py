@@ -183,7 +183,7 @@ class Keyboard(OperatorInput):
         self._rates = {axis: rate}
 
     def joint_rate(self, sign: float) -> tuple[str, float]:
-        """The joint that is chosen and its rate at a share of full speed, -1 to 1 [rad/s or m/s]."""
+        """The chosen joint, and its rate at a fraction of full speed, -1 to 1 [rad/s or m/s]."""
         robot = self._teleoperator.robot
         factor = TURN_RAD_M if robot.revolute[self.joint] else 1.0
         return robot.joint_names[self.joint], sign * factor * self.speed_m_s

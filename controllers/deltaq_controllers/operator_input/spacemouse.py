@@ -34,9 +34,9 @@ FULL = 350
 MOST = 3 * FULL
 """Greatest valid number of a deflection."""
 SETTLE_S = 0.3
-"""A cap that is deflected as the device is found reports so within this."""
+"""Time within which a newly found device reports a deflected cap [s]."""
 STALE_S = 0.3
-"""A cap that is deflected and has not reported for so long is not believed: a radio link may be gone."""
+"""A deflection without a report for this time is not believed, since a radio link may be lost [s]."""
 
 _TRANSLATION, _ROTATION, _BUTTONS = 1, 2, 3
 _THREE, _SIX = struct.Struct("<3h"), struct.Struct("<6h")
@@ -61,7 +61,7 @@ class SixAxisState:
 
 
 class SixAxis:
-    """Where a cap stands, report by report. A deflection counts once every axis was at rest since the device was found.
+    """Decodes the reports of a 6-axis controller. Deflections count only after every axis has been at rest.
 
     Attributes:
         ignored: reports that were malformed, or of a kind that says nothing of cap and buttons.
@@ -72,7 +72,7 @@ class SixAxis:
         self.forget()
 
     def forget(self) -> None:
-        """The device is gone: its last values are no longer valid."""
+        """Forget all values; the device was lost."""
         self._raw: list[int | None] = [0] * len(HAND_AXES)
         self._held: frozenset[int] = frozenset()
         self._let_go: set[int] = set()
@@ -80,7 +80,7 @@ class SixAxis:
         self._told_s = 0.0
 
     def look(self, reports: Iterable[bytes], time_s: float) -> SixAxisState:
-        """How the controller stands after reports that have come until a time [s]."""
+        """Decode the reports received until a time [s]; returns the controller's state."""
         pressed: list[int] = []
         for report in reports:
             before = self._held
@@ -166,7 +166,7 @@ def is_spacemouse(found: dict[str, Any]) -> bool:
 
 
 class SpaceMouseDevice:
-    """The first one that is plugged in.
+    """The first SpaceMouse that is plugged in.
 
     Attributes:
         name: of the device; empty while there is none.
@@ -179,7 +179,7 @@ class SpaceMouseDevice:
         self._search_s = 0.0
 
     def open(self) -> None:
-        """Find a device.
+        """Find and open a device.
 
         Raises:
             ControllerError: hidapi is not installed, no device is plugged in, or it may not be read.
@@ -205,7 +205,7 @@ class SpaceMouseDevice:
             )
 
     def read(self, time_s: float) -> list[bytes] | None:
-        """The reports that have come since the last call at a time [s]; None while no device is plugged in."""
+        """The reports received since the last call, at a time [s]; None while no device is plugged in."""
         if self._device is None and not self._search(time_s):
             return None
         reports: list[bytes] = []
@@ -218,7 +218,7 @@ class SpaceMouseDevice:
         return reports
 
     def close(self) -> None:
-        """Give the device back."""
+        """Close the device."""
         if self._device is not None:
             self._device.close()
         self._device, self.name = None, ""
@@ -275,7 +275,7 @@ class SpaceMouse(OperatorInput):
         return f"{self._keyboard.status}, {'held' if self._is_held else 'hold the left button'}{ignored}"
 
     def read(self, time_s: float) -> OperatorCommand | None:
-        """The command at a time [s]; None after the key that ends the drive. A device that is unplugged is rest."""
+        """The command at a time [s]; None after the key that ends the drive. An unplugged device means rest."""
         command = self._keyboard.read(time_s)
         reports = self._device.read(time_s)
         if reports is None:

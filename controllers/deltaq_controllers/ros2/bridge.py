@@ -157,7 +157,7 @@ _SILENCE_S = 1.0
 
 
 class BridgeUseError(DeltaqError):
-    """The bridge is used in an impossible way."""
+    """The bridge was given impossible options."""
 
 
 @dataclass(frozen=True)
@@ -191,7 +191,7 @@ class Bridge:
     """Publishes the joint states of every robot of a cell, and executes trajectories for the permitted robots.
 
     Args:
-        hli: where the cell's HLI listens, e.g. `tcp/127.0.0.1:7447`.
+        hli: address of the cell's HLI, e.g. `tcp/127.0.0.1:7447`.
         ros: the other side.
 
     Raises:

@@ -18,7 +18,7 @@ from deltaq_protocol.messages import RobotState, RobotSummary
 
 
 class RefusedMessageError(DeltaqError):
-    """A message that is not acted upon.
+    """A refused message.
 
     Attributes:
         field: where in the message, e.g. `points[2].velocities`.

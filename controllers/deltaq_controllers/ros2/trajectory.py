@@ -157,7 +157,7 @@ def read_trajectory(message: JointTrajectory, robot: RobotSummary, now_ns: int) 
     """The trajectory that a message requests of a robot; None: to stop.
 
     Args:
-        message: as it came.
+        message: as received.
         robot: its joints and limits.
         now_ns: time since the epoch [ns].
 

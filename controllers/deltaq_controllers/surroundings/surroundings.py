@@ -72,7 +72,7 @@ class RobotSurroundings:
         self._others.update(view)
 
     def forget(self) -> None:
-        """Nothing was seen of the other robots yet."""
+        """Forget all observations of the other robots."""
         self._others = OtherRobots(self._cell, self._robot)
 
     def kept(self, pair: int) -> tuple[tuple[str, str], float]:

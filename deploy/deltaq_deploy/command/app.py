@@ -85,7 +85,7 @@ class Verb(NamedTuple):
     """One verb of the command, or of a group of verbs.
 
     Attributes:
-        name: as it is typed; a verb of a group has the group's name before its own.
+        name: as typed; a verb of a group has the group's name before its own.
         does: the function that runs it; for a group its help text, or the function for the group alone.
         examples: two complete commands, for the end of its help.
     """

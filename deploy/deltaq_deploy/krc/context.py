@@ -38,7 +38,7 @@ class Parameter:
     """A parameter of an object.
 
     Attributes:
-        name: of it.
+        name: name of the parameter.
         number: its number in RSI 3.
         value: as the controller reads it.
         shown: as RSI Visual shows it, where that differs.

@@ -110,7 +110,7 @@ class KrcPlan:
         address: the PC's, as the KRC sees it.
         port: the PC's UDP port.
         ethernet_xml: name of the `*_ethernet.xml`.
-        start: where RSI starts.
+        start: position at the start of RSI.
         corrections: of A1 to A6, then of the external axes.
         inputs: from the KRC.
         outputs: to the KRC.
@@ -167,7 +167,7 @@ def plan_for(
     Args:
         cell: the cell.
         robot: name of the robot.
-        start: where RSI starts.
+        start: position at the start of RSI.
         rsi: generation of RSI; the usual one of the controller if None.
         address: the PC's as the KRC sees it; the cell's `driver.address` if None.
         limit_deg: no rotating axis may be corrected by more, either way; for the first motion.

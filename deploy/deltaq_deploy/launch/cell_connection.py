@@ -20,7 +20,7 @@ from deltaq_protocol.topic import Topic
 
 
 class UnknownRobotError(DeltaqError):
-    """A robot was named that the cell does not have."""
+    """The cell has no robot of the given name."""
 
 
 class OtherCellError(DeltaqError):

@@ -30,7 +30,7 @@ and so do its drivers, which inherit its priority: it runs as an ordinary progra
 
 @dataclass(frozen=True)
 class Ready:
-    """A child serves."""
+    """A child has reported that it is ready."""
 
     name: str
     line: str

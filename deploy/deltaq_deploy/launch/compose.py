@@ -93,7 +93,7 @@ def container(service: Service, cell_name: str) -> dict[str, Any]:
 
 
 def real_time(service: Service) -> dict[str, Any]:
-    """The limit with which a container may ask for real-time priority; empty for a service that never asks.
+    """The limit that permits a container real-time priority; empty for a service that never asks.
 
     Not part of a container, since an engine without the rights of root cannot raise a limit and starts nothing then.
     """

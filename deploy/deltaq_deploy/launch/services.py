@@ -65,7 +65,7 @@ class ListeningSocket:
         transport: of the socket.
         address: it is bound to.
         port: it is bound to.
-        field: where the cell's description sets it.
+        field: the field of the cell's description that sets it.
     """
 
     transport: Literal["tcp", "udp"]
@@ -103,7 +103,7 @@ class Service:
 
 
 class UnknownServiceError(DeltaqError):
-    """A service was named that the cell does not have."""
+    """The cell has no service of the given name."""
 
 
 def cell_services(

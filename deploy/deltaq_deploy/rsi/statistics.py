@@ -97,7 +97,7 @@ class Summary:
         delay_growth: increase of `delay`.
         decimals: most decimals of a number.
         opened_with_ipoc_only: the first telegram had nothing but its IPOC, as a KR C2's has.
-        elements: what the last telegram held.
+        elements: the elements of the last telegram.
         peers: telegrams by sender, `HOST:PORT`.
         reply: time from a telegram to its answer; None if none was answered.
         guess: the likely kind of KRC and cycle.
@@ -151,7 +151,7 @@ class WireStatistics:
         return self._telegrams
 
     def saw(self, time_s: float, datagram: bytes, peer: str) -> None:
-        """A datagram came from `peer` at `time_s`, on any clock that only goes forward."""
+        """Count a datagram from `peer`, received at `time_s` on any monotonic clock."""
         if peer in self._peers or len(self._peers) < MOST_PEERS:
             self._peers[peer] += 1
         if (seen := look_at(datagram)) is None:
@@ -174,7 +174,7 @@ class WireStatistics:
             self._decimals = max(self._decimals or 0, seen.decimals)
 
     def replied(self, after_s: float) -> None:
-        """The last telegram was answered so long after it came."""
+        """Note the time between the last telegram and its reply [s]."""
         self._replies.append(after_s)
 
     def summary(self) -> Summary:

@@ -28,11 +28,11 @@ class CorneredError(DeltaqError):
 
 @dataclass(frozen=True)
 class CorneredSituation:
-    """A decision that is about to be made.
+    """The inputs of one decision.
 
     Attributes:
         memory: of the gate.
-        request: that it decides.
+        request: the request to decide.
     """
 
     memory: GateMemory

@@ -71,7 +71,7 @@ class Journey:
     """One increment.
 
     Attributes:
-        cycle: that it answers.
+        cycle: the cycle that it answers.
         seq: its sequence number.
         decided_on: cycle of the state that it was decided on; None if it was not decided.
         setpoint_cycle: the cycle that it goes into; None if there is no admission of it.

@@ -13,7 +13,7 @@ _HERE = Path(__file__).parent
 
 
 class CompilerError(DeltaqError):
-    """A C compiler that is not there, or fails."""
+    """There is no C compiler, or it failed."""
 
 
 def program(name: str, folder: Path) -> str:

@@ -201,7 +201,7 @@ _SAME_EVENT_S = 1.0
 
 
 class EmptyRecordingError(DeltaqError):
-    """A recording in which no robot has a state."""
+    """The recording has no state of any robot."""
 
 
 class RunEventKind(StrEnum):

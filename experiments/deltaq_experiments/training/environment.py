@@ -76,7 +76,7 @@ class CameraTask:
     """Measures views as the experiments do.
 
     Args:
-        scene: who watches whom.
+        scene: the roles of the robots.
 
     Attributes:
         desired_distance_m: desired view distance [m].
@@ -112,7 +112,7 @@ class Episode:
 
     Attributes:
         stack: the cell.
-        cycles: so far.
+        cycles: number of cycles so far.
         observation: the present observation.
     """
 

@@ -57,7 +57,7 @@ class Signed:
         return True
 
     def pack(self) -> bytes:
-        """The bytes that are sent."""
+        """The bytes to send."""
         parts = (self.signature, self.nonce)
         return b"".join(len(part).to_bytes(_LENGTH_BYTES, "big") + part for part in parts) + self.certificate
 

@@ -86,13 +86,13 @@ class EthernetConfig:
     """A `*_ethernet.xml`.
 
     Attributes:
-        source: where it was read from, for messages.
+        source: its origin, for messages.
         ip_number: the PC's address, to which the controller sends.
         port: the PC's UDP port.
         sentype: the `Type` that a reply must carry.
         only_send: the controller expects no replies.
-        send: what the controller sends, in order.
-        receive: what it expects, in order.
+        send: elements that the controller sends, in order.
+        receive: elements that the controller expects, in order.
     """
 
     source: str

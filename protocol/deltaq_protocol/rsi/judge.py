@@ -22,10 +22,10 @@ class Finding:
 
     Attributes:
         severity: an error keeps the Robot Server from starting; a warning does not.
-        element: where in the file, e.g. `RECEIVE/AK.A1`.
+        element: path of the element in the file, e.g. `RECEIVE/AK.A1`.
         message: the fault, its consequence and the remedy.
         value: the value in the file, if it has one.
-        bound: what is allowed.
+        bound: the allowed value.
         field: the field of the cell's `driver` that it concerns.
         source: name of the file.
     """

@@ -276,7 +276,7 @@ class SensorCodec:
         """Write the reply to the telegram with that IPOC.
 
         Args:
-            ipoc: as it came.
+            ipoc: that of the answered telegram.
             correction: (n,) total (absolute) or this cycle's (relative) correction [rad or m].
             outputs: digital outputs by name; those not given are off.
             text: shown on the pendant, if the configuration has `DEF_EStr` (`has_text`); cut to 80 characters.

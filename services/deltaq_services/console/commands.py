@@ -183,7 +183,7 @@ class DragJoints(ConsoleCommand, driving.ReachJoints):
 
 
 class DryRun(ConsoleCommand):
-    """The gate's verdict on an increment if it came now, (n,) [rad or m]; nothing moves."""
+    """The gate's verdict on an increment (n,) in the present state [rad or m]; nothing moves."""
 
     type: Literal["dry_run"]
     robot: Name

@@ -103,7 +103,7 @@ class ConsoleCore:
     def connect(
         self, name: str, is_operator: bool, now_s: float, address: str = "", session: str = "", page: str = ""
     ) -> tuple[Client | None, list[ConsoleOutput]]:
-        """A browser has connected; no client if there are too many."""
+        """Connect a browser; returns its client, or none if there are too many."""
         again = next((one for one in self.clients.values() if session and one.session == session), None)
         if again is not None and page and again.page == page:
             # the page has given up its connection, and the end of that connection was not seen yet
@@ -240,7 +240,7 @@ class ConsoleCore:
         return outputs
 
     def driver_ended(self, robot: str, text: str, now_s: float) -> list[ConsoleOutput]:
-        """A robot's driver is gone: its open requests were not carried out."""
+        """Note that a robot's driver has ended, and refuse its open requests."""
         side = self.robots[robot]
         side.seat.driver_ended()
         side.report = None
@@ -257,7 +257,7 @@ class ConsoleCore:
         self._log.add(now_s, "stop", f"the stop is not confirmed: {why} Use the emergency stop.")
 
     def recorder_ended(self, why: str, now_s: float) -> None:
-        """The recorder has ended; `why` is empty if it was asked to."""
+        """Note that the recorder has ended; `why` is empty if it was asked to."""
         self._log.add(now_s, "recording", self.desk.ended(why))
 
     def signals(self, robot: str, outputs: Mapping[str, bool], inputs: Mapping[str, bool]) -> None:

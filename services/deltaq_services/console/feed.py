@@ -119,7 +119,7 @@ class RobotFeed:
         self._gaps: deque[tuple[float, float]] = deque()
 
     def arrived(self, gap_s: float, now_s: float) -> None:
-        """The longest time between two states since this was said last was `gap_s` [s]."""
+        """Note the longest time between two states since the last call [s]."""
         self._gaps.append((now_s, gap_s))
 
     def take_state(self, state: RobotState, arrived_s: float) -> bool:

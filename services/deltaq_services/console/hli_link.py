@@ -77,7 +77,7 @@ class HliLink:
     """The console's connection to the HLI; a context manager. The HLI may restart meanwhile.
 
     Args:
-        hli: where it serves.
+        hli: address of the HLI.
         cell: name of the cell.
         robots: names of its robots.
         role: shows the console's role; None if it has none to show.
@@ -116,7 +116,7 @@ class HliLink:
         return self._ears[robot].heard()
 
     def proximity(self) -> bytes | None:
-        """The newest proximity since this was asked last."""
+        """The newest proximity since the last call; None without one."""
         with contextlib.suppress(IndexError):
             return self._proximity.pop()
         return None

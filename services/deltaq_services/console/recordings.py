@@ -25,7 +25,7 @@ _READY = "ready:"
 
 
 class NoSuchRecordingError(ValueError):
-    """A name that is not the name of a recording in the folder."""
+    """The folder has no recording of that name."""
 
 
 class UnreadableError(Exception):

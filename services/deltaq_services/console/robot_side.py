@@ -175,7 +175,7 @@ class RobotSide:
         return driving.REQUESTS.validate_python(given)
 
     def view_of(self, command: ViewCommand) -> ViewWish:
-        """The view that a follower is asked for.
+        """The view for a follower that a command means.
 
         Raises:
             ValueError: the robot cannot follow, or a target is no other robot.

@@ -31,12 +31,12 @@ class NoTokenError(DeltaqError):
 
 
 class NoFolderError(DeltaqError):
-    """The console was given a folder for recordings that is not there."""
+    """The given folder for recordings does not exist."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """The settings with which a console is started.
+    """The settings of a console.
 
     Attributes:
         cell: name of the cell.

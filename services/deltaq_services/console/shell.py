@@ -140,10 +140,10 @@ class Console:
 
     Args:
         cell: the cell's model.
-        settings: with which it was started.
+        settings: its settings.
 
     Attributes:
-        scene: what browsers draw.
+        scene: the scene for browsers.
         core: makes the decisions.
         folder: of the recordings.
         reader: reads them for browsers.

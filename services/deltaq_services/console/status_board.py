@@ -94,7 +94,7 @@ class StopProgress:
         self._seen_held = False
 
     def latched(self) -> None:
-        """The HLI has replied that every robot is held."""
+        """Note the HLI's reply that every robot is held."""
         if self.phase is StopPhase.ASKED:
             self.phase = StopPhase.STOPPING
 
@@ -158,7 +158,7 @@ class RecordingDesk:
             self._view = RecordingView(file=self._view.file, since_s=now_s)
 
     def ended(self, why: str) -> str:
-        """The recorder has ended, as asked or by an error; returns a line for the log."""
+        """Note that the recorder has ended, as asked or by an error; returns a line for the log."""
         text = f"{self._view.file} was recorded" if not why else f"{self._view.file}: {why}"
         self._view = RecordingView(text=text)
         return text
@@ -189,7 +189,7 @@ class StatusBoard:
         self._told: dict[int, tuple[float, ConsoleStatus]] = {}
 
     def heard(self, holders: Mapping[str, str | None], now_s: float) -> None:
-        """The HLI has reported the holders of all leases."""
+        """Take the holders of all leases from the HLI."""
         if not self.hli:
             self._log.add(now_s, "link", "the HLI answers")
         self.hli, self.text = True, ""
@@ -206,7 +206,7 @@ class StatusBoard:
             side.outside_holder = None  # its last message is old
 
     def forget(self, client: Client) -> None:
-        """A browser has gone."""
+        """Forget a disconnected browser."""
         self._told.pop(client.number, None)
 
     def tell(self, clients: Collection[Client], stop: StopProgress, now_s: float) -> list[ConsoleOutput]:

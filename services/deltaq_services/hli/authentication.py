@@ -49,7 +49,7 @@ class Challenges:
         self._used: dict[bytes, float] = {}
 
     def new(self, time_s: float) -> bytes:
-        """A challenge that was never made before; any thread may ask."""
+        """Make a new, unique challenge; callable from any thread."""
         made = _MADE.pack(time_s, next(self._counts))
         return made + self._mac(made)
 

@@ -55,7 +55,7 @@ class ClientRoles:
 
     @property
     def tokens(self) -> tuple[str, ...]:
-        """The tokens that are set."""
+        """The configured tokens."""
         return tuple(token for token in (self.operator_token, self.controller_token) if token is not None)
 
 

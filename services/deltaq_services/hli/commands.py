@@ -136,7 +136,7 @@ def _told(awaited: _Awaited, message: Message) -> list[Output]:
 
 
 class Commands(Part):
-    """The commands that are in flight.
+    """The commands that await the gate's answer.
 
     The gate's heartbeats carry its epoch and the ids that an earlier process used, so that the first command is
     valid. A gate that was restarted since refuses the command, and its refusal carries them.

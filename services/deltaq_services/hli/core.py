@@ -218,7 +218,7 @@ class HliCore(Part):
         return [*outputs, *asked, told] if waited else [*outputs, told, *asked]
 
     def on_gate_verdict(self, verdict: Verdict) -> list[Output]:
-        """The gate has decided: send its verdict to the sender and to every watcher."""
+        """Take a verdict of the gate, and send it to the sender and every watcher."""
         link = self._state.links.get(verdict.robot)
         if link is None:
             self.counters["verdicts_ignored"] += 1
@@ -234,11 +234,11 @@ class HliCore(Part):
         return outputs + self._state.learn_epoch(verdict)
 
     def on_command_reply(self, reply: CommandReply) -> list[Output]:
-        """The gate has taken a command or refused it."""
+        """Take the gate's answer to a command."""
         return self._state.commands.answered(reply)
 
     def on_health(self, health: Health, time_s: float) -> list[Output]:
-        """A service is alive; the gate's heartbeat brings its counters and the nearest pair."""
+        """Take a service's heartbeat; the gate's contains its counters and the nearest pair."""
         if health.service in self._services:
             self._services[health.service].at(time_s)
             self._state.compare(health)

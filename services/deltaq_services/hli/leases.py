@@ -71,7 +71,7 @@ class Lease(Part):
     brought: set[int] = field(default_factory=set)
 
     def take_brought(self, seq: int) -> bool:
-        """An increment has come; whether a later one had brought it, which happens once."""
+        """Take an increment; returns whether a later one had repeated it already, at most once each."""
         oldest = self.sequence.newest - self.sequence.width
         self.brought = {one for one in self.brought if one > oldest}
         was_brought = seq in self.brought
@@ -160,5 +160,5 @@ class Leases(Part):
             self._ended[lease.robot] = lease.token
 
     def expired(self, time_s: float) -> list[Lease]:
-        """The leases that have run out."""
+        """The expired leases."""
         return [lease for lease in self._leases.values() if lease is not None and time_s >= lease.expires_s]

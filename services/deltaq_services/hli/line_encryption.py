@@ -18,7 +18,7 @@ CERTIFICATE_FILE, KEY_FILE = "DELTAQ_LINES_CERTIFICATE_FILE", "DELTAQ_LINES_KEY_
 
 
 class LineEncryptionError(DeltaqError):
-    """A certificate or key that is missing or of no use."""
+    """A certificate or key is missing or invalid."""
 
 
 def is_overheard(address: str, is_encrypted: bool) -> bool:
@@ -38,7 +38,7 @@ def line_encryption(
 
     Args:
         cell: the cell.
-        environment: where the files are named.
+        environment: environment variables with the file names.
         authority: certificate of the cell's authority (PEM), which signs clients' certificates; empty: none is valid.
 
     Raises:

@@ -106,7 +106,7 @@ class LineTurns(Generic[C]):
         mine.setdefault(connection)
 
     def leave(self, connection: C) -> None:
-        """A connection has ended."""
+        """Note that a connection has ended."""
         self._holders.pop(connection, None)
         self._others.pop(connection, None)
         self._rates.pop(connection, None)

@@ -60,7 +60,7 @@ MOST_CARRIED_CYCLES = 12
 
 
 class CarriedMotion(Part):
-    """The motion that was requested of one robot and not sent yet, and the motion that it made unasked.
+    """The deferred motion of one robot: requested and not yet sent, less the unrequested motion of its brake.
 
     Args:
         max_dq: (n,) largest increment [rad or m].
@@ -91,9 +91,9 @@ class CarriedMotion(Part):
         self._unasked, self._unasked_cycles = dq, cycles
 
     def settle(self, missing: int) -> None:
-        """An increment has its turn again: motion that was made unasked is owed back.
+        """Note that an increment has its cycle again; unrequested motion of the brake will be compensated.
 
-        It is not for as many cycles as increments are missing that will never come.
+        `missing` counts lost increments; the motion of as many cycles is not compensated.
         """
         if self._unasked.any() and missing < self._unasked_cycles:
             self._owe(-self._unasked * (1.0 - missing / self._unasked_cycles))

@@ -347,7 +347,7 @@ class RequestRow:
 
     Attributes:
         model: its message; a line has its `type`.
-        topic: where it is asked over zenoh; None: elsewhere, or by other means.
+        topic: its zenoh topic; None if it has none of its own.
         answer: the handler; None: the front or the core takes it itself.
         proven: fields that are replaced by the client's proven values: the robot's `lease`, its `token`,
             and over lines its name, `client`.

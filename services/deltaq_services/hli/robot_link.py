@@ -40,7 +40,7 @@ class AdmittedAhead(Part):
         self._decided, self._chain_cycle = -1, 0
 
     def decided(self, verdict: Verdict, state: ServerState) -> None:
-        """The gate has decided an increment; `state` is the newest."""
+        """Note that the gate has decided an increment; `state` is the newest."""
         if verdict.cycle < self._chain_cycle:
             return  # of a chain that broke
         if verdict.setpoint_cycle is not None:
@@ -50,7 +50,7 @@ class AdmittedAhead(Part):
             self._decided = self.setpoint_cycle(state)  # for the brake
 
     def cycle_passed(self, state: ServerState) -> None:
-        """A cycle has passed. If its admission was not taken, no later one will be: they follow it."""
+        """Begin a new cycle. If the last admission was not taken, no later one will be, since they follow it."""
         last = state.cycle + self.cycles
         if self._decided > last:  # another process counts from one
             self._verdicts, self._decided, self._chain_cycle = {}, -1, 0
@@ -61,7 +61,7 @@ class AdmittedAhead(Part):
         self._verdicts = {cycle: verdict for cycle, verdict in self._verdicts.items() if cycle >= state.cycle}
 
     def setpoint_cycle(self, state: ServerState) -> int:
-        """The cycle that the next increment goes into, as the gate decides it."""
+        """The cycle of the setpoint for the next increment, by the gate's rule."""
         if self._decided >= state.cycle:
             return min(self._decided + 1, state.cycle + self.cycles)
         rests = state.plan.step >= state.plan.brake_cycles
@@ -273,7 +273,7 @@ class RobotLink(Part):
         return waited if asked is None else [*waited, asked]
 
     def end_lease(self) -> list[Asked]:
-        """The lease has ended: forget the increments that wait, and return them."""
+        """End the lease: drop and return the waiting increments."""
         waited = self.drop()
         self.playout = self.sight = self.target = None
         return waited

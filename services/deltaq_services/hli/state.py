@@ -74,7 +74,7 @@ def _text(name: str) -> str:
 
 
 def unknown_robot(robot: str) -> Reason:
-    """The cell has no such robot."""
+    """The error for a robot that the cell does not have."""
     return Reason(code=ReasonCode.UNKNOWN_ROBOT, what=robot)
 
 
@@ -84,7 +84,7 @@ def at_fault(dq: object, robot: RobotDescription, code: ReasonCode) -> Reason:
     Args:
         dq: the value received.
         robot: the robot it was meant for.
-        code: what the codec found.
+        code: the fault found by the codec.
 
     Returns:
         For a wrong length, both lengths; for an element that is not finite, the joint's name; for one that is too

@@ -135,11 +135,11 @@ class TcpConnection(asyncio.Protocol, Sender):
             self._front.wants_turn(self)
 
     def pause_writing(self) -> None:
-        """The client reads more slowly than it is written to."""
+        """The client reads more slowly than the server writes."""
         self._is_slow = True
 
     def resume_writing(self) -> None:
-        """The client has caught up: send the newest states that it missed."""
+        """The client has caught up: send the newest of the missed states."""
         self._is_slow = False
         while self._newest_states and not self._is_slow:
             robot = next(iter(self._newest_states))

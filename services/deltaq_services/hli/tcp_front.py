@@ -98,7 +98,7 @@ class TcpFront:
         )
 
     def proven(self, hello: Hello, address: str) -> Hello | None:
-        """A hello with the token that it has or proves; None: a wrong one. Not many of an address are compared."""
+        """The hello with its proven token; None for a wrong token, or after too many wrong ones from its address."""
         if hello.token is None and hello.proof is None:
             return hello
         now = self._port.now()

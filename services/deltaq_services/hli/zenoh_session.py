@@ -26,7 +26,7 @@ _log = logging.getLogger(__name__)
 # A flood over zenoh waits at its sender's: the thread that reads its session pauses, and that of no other.
 
 _WAIT_S = 0.004
-"""What a session waits for each message beyond the rate."""
+"""Delay of a session for each message beyond the rate [s]."""
 _THREADS = "(rx: (worker_threads: 14), net: (worker_threads: 2), acc: (handover: net), app: (handover: net))"
 
 
@@ -50,7 +50,7 @@ class FloodWait:
         self._lock = threading.Lock()
 
     def one_more(self) -> None:
-        """Count a message; returns the time at which the next one of its session may be read."""
+        """Count a message, and delay the calling thread if messages come too fast."""
         with self._lock:
             is_flood = not self._rate.take(time.monotonic())
         if is_flood:

@@ -240,7 +240,7 @@ class Exporter(Collector):
     """Serves the metrics of the cell whose HLI listens at an address.
 
     Args:
-        hli: where its HLI listens, e.g. `tcp/127.0.0.1:7447`.
+        hli: address of its HLI, e.g. `tcp/127.0.0.1:7447`.
     """
 
     def __init__(self, hli: str) -> None:

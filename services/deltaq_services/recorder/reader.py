@@ -59,7 +59,7 @@ _ABOUT = ("cell", "robots")
 
 
 class UnreadableRecordingError(DeltaqError):
-    """A file that is not a recording of deltaq."""
+    """The file is not a recording of deltaq."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ class Recording:
         return self.path.stat().st_size
 
     def cell(self) -> CellModel:
-        """The model of the cell that was recorded.
+        """The model of the recorded cell.
 
         Raises:
             CellError: this version cannot read its description.

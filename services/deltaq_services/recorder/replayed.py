@@ -36,11 +36,11 @@ _PHASES, _OUTCOMES = tuple(Phase), tuple(Outcome)
 
 
 class OtherCellRecordedError(DeltaqError):
-    """The recording is of another cell than the one that is shown."""
+    """The recording is of another cell than the shown one."""
 
 
 class EmptyReplayError(DeltaqError):
-    """A recording in which no robot has a state."""
+    """The recording has no state of any robot."""
 
 
 def replayed(path: Path, identity: str, most_ticks: int = MOST_TICKS) -> dict[str, Any]:

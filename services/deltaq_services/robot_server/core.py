@@ -96,7 +96,7 @@ class RobotServer(Part):
 
     @property
     def motion(self) -> SetpointMotion:
-        """The setpoint that was sent last, and the brake that follows it."""
+        """The last sent setpoint, and the brake that follows it."""
         return self._motion
 
     @property
@@ -221,7 +221,7 @@ class RobotServer(Part):
         return [ToRobot(q_cmd, self.outputs, self.motion_stop)]
 
     def krc_silent(self, time_s: float) -> None:
-        """The KRC was silent for longer than its timeout: hold, until it is back and someone resets."""
+        """Hold the robot, because the KRC was silent for longer than its timeout."""
         self.counters["krc_silent"] += 1
         if self._told is None:
             return
@@ -233,7 +233,7 @@ class RobotServer(Part):
         self._told, self._state = (self._told[0], time_s), None
 
     def reply_refused(self, q_sent: Array) -> None:
-        """The last reply was not sent as decided: hold at the setpoint that was sent instead.
+        """Hold the robot at the setpoint that was sent in place of the decided one.
 
         Args:
             q_sent: (n,) setpoint that the KRC has [rad or m].
@@ -466,7 +466,7 @@ class Ending:
             signal.signal(number, self._ask)
 
     def cycle_passed(self) -> None:
-        """The KRC was answered, or is silent."""
+        """End a cycle: the KRC was answered, or is silent."""
         if not self._asked:
             return
         self._server.end()

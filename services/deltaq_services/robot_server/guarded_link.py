@@ -34,7 +34,7 @@ class CycleStamps:
     The loop reads its ring channel only with the next telegram, so admissions have a subscriber of their own here.
 
     Args:
-        stamps: where to.
+        stamps: receives the stamps.
         session: of the Robot Server.
         key: of its admissions.
     """
@@ -87,7 +87,7 @@ class GuardedLink:
     Args:
         cell: the cell.
         robot: the robot's name.
-        counters: where malformed messages are counted.
+        counters: counts malformed messages.
 
     Raises:
         GuardedRealmError: its endpoint lets strangers in.

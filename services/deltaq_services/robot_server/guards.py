@@ -39,7 +39,7 @@ class AdmissionsDue(Part):
         return None
 
     def take(self, cycle: int) -> Admission | None:
-        """The admission that is due in the cycle after `cycle`; it is kept no longer, nor is any before it."""
+        """Remove and return the admission due in the cycle after `cycle`; earlier ones are dropped."""
         due = self._kept.get(cycle)
         self._kept = {later: kept for later, kept in self._kept.items() if later > cycle}
         return due

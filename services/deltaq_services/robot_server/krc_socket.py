@@ -44,7 +44,7 @@ class KrcSocket:
     """Takes telegrams from one KRC and answers it.
 
     Args:
-        driver: where to listen, and for whom.
+        driver: gives address and port of this server, and the KRC's address.
         silence_s: time of silence after which the KRC may use another port.
         rsi: reads telegrams.
         counters: are added to.

@@ -77,13 +77,13 @@ class Settling:
         return self.cycles_at_rest > self.lag_cycles
 
     def measured(self, q: Array) -> Self:
-        """The robot was measured at `q` (n,)."""
+        """Take the measured configuration `q` (n,)."""
         if not self.at_rest:
             return replace(self, q_settled=None)
         return self if self.q_settled is not None else replace(self, q_settled=q)
 
     def sent(self, moves: bool) -> Self:
-        """A setpoint was sent, which moves or rests."""
+        """Count a sent setpoint, which moves or rests."""
         cycles = 0 if moves else min(self.cycles_at_rest + 1, self.lag_cycles + 1)
         return self if cycles == self.cycles_at_rest else replace(self, cycles_at_rest=cycles)
 

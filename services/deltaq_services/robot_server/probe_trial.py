@@ -80,7 +80,7 @@ class Trial:
 
     @classmethod
     def of(cls, pulse: int, lag_cycles: int, cycle_s: float) -> Trial:
-        """A trial of drives that may lag by so much."""
+        """A trial for drives with at most this lag."""
         rest = max(3, math.ceil(_REST_S / cycle_s))
         return cls(rest, pulse, pulse + lag_cycles + rest)
 
@@ -119,7 +119,7 @@ def joint_modes(samples: Array, trial: Trial, within: int) -> list[Mode]:
 
 
 def joint_lags(samples: Array, cycles: Array, trial: Trial, cycle_s: float) -> list[AxisLag | None]:
-    """The lag of each joint of a KRC that is absolute.
+    """The lag of each joint, for a KRC with absolute corrections.
 
     Args:
         samples: as for `joint_modes`.
@@ -170,7 +170,7 @@ def pulse_sums(robot: RobotDescription) -> Array:
 
 
 def triangle(size: Array, max_dv: Array) -> Array:
-    """A triangle whose sum is one, as short as joints of these sizes (n,) and limits of acceleration (n,) allow."""
+    """The shortest triangular pulse of sum 1 for joints with these pulse sizes (n,) and acceleration limits (n,)."""
     # at its peak the speed turns from one step up to one step down: two steps, each of size / half**2
     half = max(1, math.ceil(math.sqrt(float(np.max(2.0 * size / max_dv)))))
     return (half - np.abs(np.arange(1 - half, half))) / half**2

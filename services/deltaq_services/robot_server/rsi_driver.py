@@ -125,7 +125,7 @@ class RsiDriver(Part):
         """Read a telegram.
 
         Args:
-            datagram: as it came from the KRC.
+            datagram: received from the KRC.
             time_s: when it came, on a monotonic clock.
 
         Returns:

@@ -108,7 +108,7 @@ class DatagramSource(StrEnum):
 
 
 class Peer(Part):
-    """The one KRC whose telegrams a Robot Server has believed, and no other sender.
+    """Judges senders: only the KRC whose telegrams were believed is answered.
 
     Its port is not configured: a KRC, and an emulator, choose one when they start. The port of the first valid telegram
     is kept until the KRC has been silent for `silence_s`; then the next valid telegram determines it.
@@ -148,7 +148,7 @@ class Peer(Part):
         return DatagramSource.SECOND_KRC
 
     def believed(self, sender: Address, now_s: float) -> None:
-        """A telegram of this sender was valid."""
+        """Note a valid telegram of this sender."""
         if sender != self.address:
             self.stranger = ""  # it may have been this one
         self.address, self._heard_s = sender, now_s

@@ -138,15 +138,15 @@ class KinematicRobot:
         return False
 
     def write(self, q_cmd: Array, _outputs: Mapping[str, bool], _stop: bool) -> bool:
-        """The robot is there at once."""
+        """Move at once: the setpoint becomes the measured configuration."""
         self.q_sent = q_cmd
         return True
 
     def send(self, motion: SetpointMotion) -> None:
-        """Nothing is left to do."""
+        """Does nothing."""
 
     def mend(self, now_s: float) -> None:
-        """Nothing can end."""
+        """Does nothing."""
 
 
 def _told(*details: str) -> str:

@@ -147,7 +147,7 @@ class Sim:
             robot.orders.stop(ReasonCode.INTERNAL_ERROR)
 
     def concerned(self, message: ServerState | Request | Command) -> list[GatedRobot]:
-        """The robots that a message is for: all, if it names none."""
+        """The robots that a message concerns: all, if it names none."""
         return [robot for name, robot in self.robots.items() if message.robot in (None, name)]
 
     def on_state(self, state: ServerState) -> list[ToTopic]:

@@ -155,7 +155,7 @@ class Decision:
         scale: s of the blend.
         dq: (n,) increment admitted; the brake's if held.
         brake_cycles: length of the brake after it.
-        reasons: what limited the request, tightest first.
+        reasons: the limiting factors of the request, tightest first.
         binding: the pair of bodies with the least room.
     """
 

@@ -26,12 +26,12 @@ class Inbox:
     Args:
         joints: of the robot.
         max_age_cycles: an increment that answers an older state is stale.
-        lookahead_cycles: how many setpoints may be decided that are not sent yet.
+        lookahead_cycles: number of setpoints that may be decided before they are sent.
 
     Attributes:
         waiting: the request to be decided next.
         decided: the request behind the admission in flight; None where it must not be decided again.
-        decided_cycle: the cycle after which the setpoint is sent that was decided last.
+        decided_cycle: the last decided setpoint is sent after this cycle.
         spoken_cycle: cycle in which the HLI spoke last.
         lease_epoch, seq: lease and sequence number of the newest valid request.
     """
@@ -62,11 +62,11 @@ class Inbox:
         return None
 
     def put(self, request: Request, newest_cycle: int) -> Request | None:
-        """Let a valid request wait; returns the one that it replaces.
+        """Store a valid request as the waiting one; returns the replaced request.
 
         Args:
             request: with an increment.
-            newest_cycle: that of the robot's newest state, -1 before the first.
+            newest_cycle: cycle of the robot's newest state, -1 before the first.
         """
         self.lease_epoch, self.seq = request.lease_epoch, request.seq
         sent = _sent_in(request)
@@ -77,10 +77,10 @@ class Inbox:
         return replaced
 
     def heartbeat(self, request: Request, newest_cycle: int) -> Request | None:
-        """The HLI has nothing newer in a cycle.
+        """Note that the HLI has no newer request in a cycle.
 
         Returns:
-            The request that waited under a lease that stands no more, and waits no longer.
+            The waiting request, removed, if its lease has ended; None otherwise.
         """
         if not newest_cycle <= request.cycle <= newest_cycle + _AHEAD_CYCLES:
             return None  # it was said in a cycle before, or of another Robot Server process
@@ -100,7 +100,7 @@ class Inbox:
                 has published a new one, so the request behind it has moved nothing, and never will.
 
         Returns:
-            The request that has waited for too long, and waits no longer.
+            The waiting request, removed, if it has waited too long; None otherwise.
         """
         oldest = cycle - _IN_HAND_CYCLES
         if missed:  # no decision for a later cycle will be sent, and new requests need more time
@@ -118,7 +118,7 @@ class Inbox:
         return self.take()
 
     def begin_anew(self) -> None:
-        """The cycles of another Robot Server process are counted from one."""
+        """Start again for another Robot Server process, whose cycles are counted from one."""
         self.decided = None
         self.decided_cycle = self.spoken_cycle = -1
 
@@ -137,10 +137,10 @@ class Inbox:
         return not state.cycle < _sent_in(self.waiting) <= state.cycle + _AHEAD_CYCLES
 
     def goes_after(self, state: ServerState) -> int:
-        """The cycle after which the setpoint is sent that is decided next on this state.
+        """The next decision on this state is for the setpoint sent after the returned cycle.
 
-        It follows the one that was decided last. Where that has been sent, a robot that brakes goes on at once; one
-        that rests can wait, so that as much is in flight as may be.
+        It follows the last decided setpoint. If that has been sent already, a braking robot gets the next possible
+        setpoint; a resting one the latest that the lookahead allows, so that many admissions are in flight.
         """
         if self.decided_cycle >= state.cycle - 1:
             return self.decided_cycle + 1

@@ -69,7 +69,7 @@ class Orders:
             self._cycles_without_hli += 1
 
     def repeated(self, state: ServerState) -> None:
-        """The Robot Server spoke though no cycle has passed: its KRC is silent."""
+        """Take a repeated state of a Robot Server whose KRC is silent."""
         if state is self._robot.state:  # a state that was overtaken is not used
             self._krc_silent = state.reason is ReasonCode.KRC_LOST
 

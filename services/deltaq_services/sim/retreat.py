@@ -49,7 +49,7 @@ class Violations:
         self._kept: dict[BodyPair, float] = {}
 
     def kept_m(self, pair: BodyPair) -> float | None:
-        """The distance that a pair has to keep; None if it is not known to be violated."""
+        """The distance that a violated pair has to keep; None for other pairs."""
         return self._kept.get(pair)
 
     def stands(self, pair: BodyPair, distance_m: float, stop_distance_m: float) -> None:
@@ -67,7 +67,7 @@ class Violations:
             self._kept[pair] = keeps
 
     def only(self, robot: str, violated: Collection[BodyPair]) -> None:
-        """The violations of a robot are among these; all others of it have ended."""
+        """Keep only these violations of a robot; all its others have ended."""
         ended = [pair for pair in self._kept if _concerns(pair, robot) and pair not in violated]
         for pair in ended:
             del self._kept[pair]

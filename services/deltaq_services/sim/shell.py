@@ -88,7 +88,7 @@ class GateStamps:
     Taken only if the environment asks for them; see `deltaq_protocol.stamps`.
 
     Args:
-        stamps: where to.
+        stamps: receives the stamps.
         sim: the SIM whose gate is watched; its decisions do not change.
     """
 
@@ -97,12 +97,12 @@ class GateStamps:
         self._watched = sim.gate = _Watched(sim.gate)
 
     def came(self, message: Message) -> None:
-        """The gate is about to take a message."""
+        """Stamp a message that the gate is about to take."""
         if isinstance(message, Request) and message.dq is not None:
             self._stamps.add(StampStation.REQUEST_AT_GATE, message.robot, message.cycle, message.seq)
 
     def went(self, message: Message) -> None:
-        """A message of the gate has been published: of a decision first the admission, if any, then the verdict."""
+        """Stamp a published message of the gate: of a decision first the admission, if any, then the verdict."""
         if isinstance(message, Admission):
             self._stamps.add(StampStation.ADMISSION_OUT, message.robot, message.cycle)
         elif isinstance(message, Verdict) and message.outcome is not Outcome.REFUSED:

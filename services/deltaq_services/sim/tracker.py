@@ -21,7 +21,7 @@ from deltaq_services.sim.tube import Branch, DriveBounds, Windows, courses, moti
 
 
 class History:
-    """The setpoints that the drives of one robot may still be at, oldest first, one for each cycle that is known.
+    """The setpoints that still affect the drives of one robot, oldest first, one for each known cycle.
 
     A setpoint leaves the history when as many cycles have passed as the drives lag. Two kinds of setpoints do not count
     as a cycle, so that older ones stay longer: one that was sent again because the KRC missed it, and those that the
@@ -222,7 +222,7 @@ class Tracker:
         return self.state is not None and self.history.is_full
 
     def admitted(self, admission: Admission) -> None:
-        """An admission was sent, which follows all that are in flight."""
+        """Note a sent admission, which follows all in flight."""
         self._fly((*self.in_flight, admission))
 
     def _fly(self, admissions: tuple[Admission, ...]) -> None:
@@ -235,7 +235,7 @@ class Tracker:
 
     @property
     def decided_after(self) -> int:
-        """The cycle after which the setpoint is sent that is decided next."""
+        """The setpoint to decide next is sent after this cycle."""
         assert self.state is not None  # asked only of robots that have been heard
         answer = self.state.cycle + self._lookahead_cycles - 1
         return answer if self._decided_after is None else self._decided_after
@@ -287,12 +287,12 @@ class Tracker:
         return farthest + self.drives.tolerance + self.drives.spread * self._fastest
 
     def tube_of_setpoints(self, branch: Branch) -> Windows:
-        """The tube of drives that are exactly in the hull of their setpoints, wherever the robot is measured to be."""
+        """The tube for drives exactly in the hull of their setpoints, regardless of the measured configuration."""
         exact = replace(self.drives, tolerance=np.zeros_like(self.drives.tolerance), spread=0.0)
         return tube(self.history.array(), branch, exact)
 
     def tubes(self) -> list[Windows]:
-        """The tubes of every course that the robot may take."""
+        """The tube of each candidate trajectory of the robot."""
         return [self.tube(branch) for branch in self._courses()]
 
     def tubes_of_setpoints(self) -> list[Windows]:

@@ -57,7 +57,7 @@ def drives_of(description: RobotDescription, gate: GateDescription, cycle_s: flo
 
 @dataclass(frozen=True)
 class Branch:
-    """One course a robot may take from its present setpoint: along a path, then `dq` and its brake, sent up to `step`.
+    """A candidate trajectory from the present setpoint: along a path, then `dq` and its brake, sent up to `step`.
 
     `step` -1 means that `dq` itself is still to be sent. The path is that of admissions in flight, empty if there are
     none before `dq`: setpoints, each (n,) [rad or m].

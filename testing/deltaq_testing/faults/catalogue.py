@@ -77,7 +77,7 @@ class FillDisk:
 
 @dataclass(frozen=True)
 class Misbehave:
-    """The controller itself goes wrong."""
+    """The controller misbehaves."""
 
     how: Misbehaviour
 

@@ -125,7 +125,7 @@ def plain(dq: Any) -> Any:
 
 
 class CellUseError(DeltaqError):
-    """The cell under test is used in an impossible way: run undriven, driven twice, or with a seed below zero."""
+    """Impossible use of the cell under test: run undriven, driven twice, or with a seed below zero."""
 
 
 @runtime_checkable

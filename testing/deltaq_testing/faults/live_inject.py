@@ -74,12 +74,12 @@ class Injector:
         return []
 
     def restart(self, process: Process) -> list[str]:
-        """Restart a process, and log it."""
+        """Restart a process; returns the action as text."""
         self.launcher.restart(self.service(process))
         return [f"restart of the {process}"]
 
     def service(self, process: Process) -> str:
-        """The name of the service that this process is."""
+        """The service name of a process."""
         return f"{process}-{self.robot}" if process is Process.ROBOT_SERVER else str(process)
 
     def pid(self, process: Process) -> int:

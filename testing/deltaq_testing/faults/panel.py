@@ -160,7 +160,7 @@ def must_have(cell: CellDescription, robot: str | None) -> None:
 
 
 class Injected(BaseModel):
-    """A fault that was injected, and the robot at its end.
+    """The result of an injected fault: the robot at its end.
 
     Attributes:
         phase, reason: as the HLI shows them while the fault stands.

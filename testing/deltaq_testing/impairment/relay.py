@@ -77,8 +77,8 @@ class MessageRelay:
     """Relays the messages that either side publishes, on any key; an async context manager. Queries do not pass.
 
     Args:
-        listen: where one side connects.
-        to: where the other side listens.
+        listen: address to which one side connects.
+        to: address at which the other side listens.
         seed: of the random numbers.
 
     Raises:

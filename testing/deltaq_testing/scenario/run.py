@@ -86,7 +86,7 @@ class ScenarioOutcome:
 
     Attributes:
         name: of the scenario.
-        scenario: what was run.
+        scenario: the scenario that was run.
         checks: results of the expectations, in their order.
         cell: with all records.
         wall_s: how long the run took.

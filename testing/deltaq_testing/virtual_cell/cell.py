@@ -157,7 +157,7 @@ class VirtualCell:
 
     @property
     def krc_arms(self) -> dict[str, KrcArm]:
-        """The robots that have an emulated KRC."""
+        """The robots with an emulated KRC."""
         return {name: arm for name, arm in self.arms.items() if isinstance(arm, KrcArm)}
 
     # --- time ---------------------------------------------------------------------------------------------
@@ -266,11 +266,11 @@ class VirtualCell:
         self._hli.do(lambda: self.carry_out(self.hli.requests.on_connection_lost(leases, self._hli_s)))
 
     def stop(self) -> list[Message]:
-        """Press stop; returns the object that receives the answer."""
+        """Press stop; returns the list to which the answer will be appended."""
         return self._asked(StopRequest())
 
     def reset(self, robot: str) -> list[Message]:
-        """Ask for a reset; returns the object that receives the answer."""
+        """Ask for a reset; returns the list to which the answer will be appended."""
         return self._asked(ResetRequest(robot=robot))
 
     def status(self) -> Status:

@@ -28,7 +28,7 @@ class VirtualClient(Protocol):
     """The program at the client's end of a connection.
 
     Attributes:
-        robot: that it drives.
+        robot: the robot that it drives.
         token: of its lease; None without one.
     """
 
@@ -113,11 +113,11 @@ class SteppedController:
     """A controller whose increments the caller passes, one at a time.
 
     Args:
-        robot: that it drives.
+        robot: the robot that it drives.
         say: sends to the HLI.
 
     Attributes:
-        robot: that it drives.
+        robot: the robot that it drives.
         token: of its lease; None without one.
     """
 

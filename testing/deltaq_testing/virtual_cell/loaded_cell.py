@@ -45,7 +45,7 @@ class LoadedCell:
         return resolve_near(self.file, driver.ethernet_xml) if isinstance(driver, RsiDescription) else None
 
     def krc(self, robot: str, q: Array, xml: Path) -> Krc:
-        """An emulated controller that has loaded a file, its robot at `q` (n,) [rad or m]."""
+        """Make an emulated controller with a loaded file, its robot at `q` (n,) [rad or m]."""
         model, cycle_s = self.model.robots[robot], self.model.description.cycle_s
         driver = model.description.driver
         assert isinstance(driver, RsiDescription)  # no other robot has such a file

@@ -118,7 +118,7 @@ def clearance(
         placed: the robot as placed.
         centres: (m, 3) of the spheres [m].
         radii: (m,) of the spheres [m].
-        shift: by which they have moved [m].
+        shift: their displacement [m].
         least: distance beyond which no exact value is needed [m].
     """
     for body in bodies:

@@ -127,7 +127,7 @@ class Simulation(NamedTuple):
 
     Attributes:
         placed: the arm, as the gate's kernel places it.
-        seen: what its camera sees.
+        seen: the view of its camera.
         q, rates: (n,) of the arm.
         tip, velocity: (3,) of the attacker's tool [m], [m/s].
         shift: (3,) by which its bodies have moved [m].

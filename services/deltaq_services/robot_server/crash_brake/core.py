@@ -131,7 +131,7 @@ class CrashPlan:
 
     @classmethod
     def from_json(cls, text: str) -> Self:
-        """The plan that was written with `json`."""
+        """Read a plan written by `json`."""
         values: dict[str, Any] = json.loads(text)
         for name, value in values.items():
             values[name] = tuple(value) if isinstance(value, list) else value

@@ -32,7 +32,7 @@ class OwnerMutex:
 
     Args:
         memory: shared by both processes.
-        offset: where it lies, a multiple of eight.
+        offset: its place in the memory [bytes], a multiple of eight.
     """
 
     def __init__(self, memory: mmap.mmap, offset: int) -> None:
@@ -119,7 +119,7 @@ class CrashMemory:
         self._file[place : place + len(record)] = record
 
     def sent(self) -> None:
-        """The reply of the record that was written last was handed to the network."""
+        """Note that the reply of the last record was handed to the network."""
         SENT.pack_into(self._file, self._records.sent_at, self._number)
 
     def clear(self) -> None:

@@ -30,7 +30,7 @@ class CrashRecord:
 
     Attributes:
         ipoc, late, programmed: of the telegram that it answers, see `PlainTelegram`.
-        ipoc_step: by which the IPOC grows.
+        ipoc_step: growth of the IPOC in a cycle.
         outputs: digital outputs, in the order of the cell.
         correction: (n,) of the reply [rad or m].
         plan_dq: (n,) increment that was admitted last [rad or m].

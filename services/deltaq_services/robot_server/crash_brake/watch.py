@@ -219,7 +219,7 @@ class CrashWatch:
             self._memory.write(body, peer, time_s)
 
     def sent(self) -> None:
-        """The reply was handed to the network."""
+        """Note that the reply was handed to the network."""
         self._memory.sent()
 
 
