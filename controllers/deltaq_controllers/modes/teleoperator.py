@@ -42,7 +42,7 @@ def share_of(asked: Motion, rates: Array, hands: Hands) -> float:
     Args:
         asked: the motion.
         rates: (n,) of the joints [rad/s or m/s].
-        hands: of the robot, placed where it is.
+        hands: of the robot, placed at its configuration.
     """
     if asked.along:
         return float(rates.any())
@@ -83,7 +83,7 @@ class Reflection:
         self.share = 1.0
 
     def take(self, share: float, is_asked: bool, is_limited: bool) -> None:
-        """A cycle in which a fraction of the requested motion, if there is any, was requested of the gate.
+        """Take one cycle: the fraction of the commanded motion that was requested of the gate.
 
         Acceleration is not a limit: the fraction counts while a limit binds, in the mode or at the gate.
         """
@@ -92,7 +92,7 @@ class Reflection:
         self.share += self._follows * (now - self.share)
 
     def take_verdict(self, verdict: Verdict) -> None:
-        """Take the gate's verdict on it."""
+        """Take the gate's verdict on the increment of this cycle."""
         is_whole = verdict.outcome is Outcome.ADMITTED
         self._admitted = 1.0 if is_whole else max(0.0, min(1.0, verdict.scale))
 
@@ -114,7 +114,7 @@ def commanded(
     Args:
         command: of the operator.
         robot: the driven robot.
-        hands: its hands; they are placed anew.
+        hands: its hands; they are placed at `q`.
         mode: the mode that drives it.
         frame: the axes in which hands are moved.
         held: the object between the hands, which then moves in their place.

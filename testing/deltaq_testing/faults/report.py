@@ -46,10 +46,10 @@ class Kept(BaseModel):
     Attributes:
         position_violations, velocity_violations: setpoints beyond a limit, counted by joint and cycle.
         unanswered_cycles: KRC cycles without a valid reply, in which a KRC holds its last correction.
-        altered_telegrams: of the KRC, in which the wire made another digit of one. The answer to one that cannot be
-            true is the last correction, which a KRC holds as it does without an answer.
-        altered_replies: whether the wire made other digits of what the KRC was sent, which only the KRC can judge: what
-            it refuses, and the setpoints that it takes, are not the Robot Server's then. Distances count all the same.
+        altered_telegrams: telegrams of the KRC in which the wire changed a digit. If the values are implausible, the
+            Robot Server answers with the last correction, which acts like no answer.
+        altered_replies: whether the wire changed digits in replies to the KRC. The setpoints that the KRC then accepts
+            or refuses are not those of the Robot Server; only distances are judged.
         abrupt_cycles: changes of an increment beyond the acceleration limit; each unanswered cycle explains two, and
             each altered telegram.
         clearance_m: least distance between robots, and between robots and structure.
@@ -108,7 +108,7 @@ class FaultTable(BaseModel):
 
     @property
     def good(self) -> bool:
-        """Whether every row is."""
+        """Whether every row is good."""
         return all(row.good for row in self.rows)
 
 
@@ -116,7 +116,7 @@ def motion_after(robot: RobotModel, setpoints: Array, cycle_s: float, cruise: fl
     """Measure from setpoints (m, n) [rad or m], the first of which was sent before the fault.
 
     Args:
-        robot: whose tool travels.
+        robot: the robot.
         setpoints: consecutive ones of the emulated controller, to the end of the fault.
         cycle_s: time between two of them.
         cruise: largest joint increment of a cycle before the fault [rad or m].
@@ -152,14 +152,14 @@ def judged(
     """Judge a whole run.
 
     Args:
-        robot: whose limits count.
+        robot: the robot.
         setpoints: (m, n) consecutive ones of the emulated controller [rad or m].
         cycle_s: time between two of them.
         unanswered: KRC cycles without a valid reply.
         near: least distance of bodies, and least distance of a robot to itself [m].
         protest: of the KRC.
-        altered: telegrams of the KRC in which the wire made another digit of one.
-        altered_replies: whether it did so with replies.
+        altered: number of telegrams of the KRC in which the wire changed a digit.
+        altered_replies: whether the wire changed digits in replies.
     """
     beyond = limit_violations(robot, setpoints, cycle_s)
     return Kept(
