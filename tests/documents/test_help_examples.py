@@ -51,6 +51,7 @@ FILES = {
     ),
     "steps.yaml": "- {duration_s: 0.5, move: {z_m_s: 0.05}}\n",
     "stands.py": "def stands(state):\n    return [0.0] * len(state.q)\n",
+    "half.py": "def half(q, dq):\n    return 0.5 * dq\n",
     "scenario.yaml": (
         "controller: stands.py:stands\nduration_s: 1.0\nfaults:\n  - {fault: krc_hiccup, at_s: 0.3}\n"
         "expect: {reasons: []}\n"

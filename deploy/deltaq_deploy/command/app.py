@@ -284,6 +284,14 @@ VERBS: dict[str, tuple[Verb, ...]] = {
                 "deltaq bench soak --hours 0.01 --output soak --seed 3 --json",
             ),
         ),
+        Verb(
+            "bench filters",
+            study.filters,
+            (
+                "deltaq bench filters --scenes 1 --cycles 100",
+                "deltaq bench filters none gate half.py:half --scenes 1 --cycles 100 --json",
+            ),
+        ),
         Verb("check", installation.check, ("deltaq check --cell lab", "deltaq check --cell lab --verbose")),
         Verb("schema", installation.schema, ("deltaq schema", "deltaq schema increment")),
         Verb("doctor", installation.doctor, ("deltaq doctor", "deltaq doctor --cell dawm --json")),

@@ -423,3 +423,65 @@ def _bound(at_least: float | None, at_most: float | None, unit: str) -> str | No
     if at_least is not None:
         return f"at least {at_least:g} {unit}"
     return None if at_most is None else f"at most {at_most:g} {unit}"
+
+
+def filters(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="FILTER",
+            help="none, gate, or your own as FILE.py:NAME or package.module:NAME.",
+            show_default="none and gate",
+        ),
+    ] = None,
+    scenes: Annotated[int, typer.Option(min=1, help="Number of scenes, drawn from the seed.")] = 3,
+    cycles: Annotated[int, typer.Option(min=10, help="Cycles of each adversary.")] = 500,
+    seed: SeedOption = 0,
+    ideal_drives: Annotated[
+        bool, typer.Option("--ideal-drives", help="Drives follow at once, without limits of acceleration.")
+    ] = False,
+    json: JsonOption = False,
+) -> None:
+    """Compare filters between a program and an arm: contacts, false holds, speed, time.
+
+    A filter is a function (q, dq) -> dq: the arm is at q and is asked to move by dq in this cycle, in rad; the
+    function returns what is sent. Or a class: NAME(scene) makes a filter that knows scene.urdf, scene.obstacles,
+    scene.cycle_s and the limits; its method start(q), if it has one, is called before each trial.
+
+    The arm is a KR 16 among boxes. Adversaries ask for the fastest motion, and straight paths pass near bodies. coal
+    judges each setpoint on the meshes, independently of the gate.
+    """
+    from deltaq_deploy.command.console import print_json, print_table, progress_bar, shown_compiled_ahead
+    from deltaq_deploy.launch.prepare import Needed
+    from deltaq_experiments.bench.filter_scenes import ROBOT, drawn_scene
+    from deltaq_experiments.bench.filters import FILTERS, Row, compare, named
+
+    found = {name: named(name) for name in names or FILTERS}
+    rows = {name: Row() for name in found}
+    with shown_compiled_ahead(Needed()), progress_bar("comparing") as move:
+        for number in range(seed, seed + scenes):
+            done = compare(found, drawn_scene(number), rows, cycles, number, ideal_drives)
+            for count, _ in enumerate(done, start=1 + (number - seed) * len(found)):
+                move(count, scenes * len(found))
+    figures = {name: row.figures() for name, row in rows.items()}
+    if json:
+        told = {
+            "robot": ROBOT,
+            "scenes": scenes,
+            "cycles": cycles,
+            "seed": seed,
+            "ideal_drives": ideal_drives,
+        }
+        print_json(told | {"filters": figures})
+    else:
+        columns = (
+            "trials",
+            "contacts",
+            "penetration mm",
+            "false holds %",
+            "speed kept %",
+            "p50 ms",
+            "p99 ms",
+        )
+        title = f"{ROBOT} in {scenes} scenes, {'ideal drives' if ideal_drives else 'drives with limits'}"
+        print_table(title, ("filter", *columns), [(name, *each.values()) for name, each in figures.items()])
