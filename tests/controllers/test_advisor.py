@@ -69,7 +69,7 @@ def test_the_gradient_over_the_free_joints_agrees_with_finite_differences() -> N
         np.testing.assert_allclose(gradient[:, joint], (ahead - behind) / 2e-6, atol=2e-4)
 
 
-def test_starts_reach_with_both_hands_where_even_draws_hardly_do() -> None:
+def test_starts_reach_with_both_hands_far_more_often_than_uniform_draws() -> None:
     task = problem(np.random.default_rng(3).uniform(DAWM.lower, DAWM.upper))
     generator = np.random.default_rng(4)
     even = generator.uniform(task.lower, task.upper, (8192, 5))
@@ -132,7 +132,7 @@ def test_one_seed_is_one_search() -> None:
 
 
 @pytest.mark.long
-def test_options_are_ranked_distinct_clear_and_told_with_what_limits_them(options: list[Option]) -> None:
+def test_options_are_ranked_distinct_clear_and_listed_with_their_limits(options: list[Option]) -> None:
     assert 2 <= len(options) <= 4
     energies = [option.energy for option in options]
     assert energies == sorted(energies)
@@ -152,7 +152,7 @@ def test_options_are_ranked_distinct_clear_and_told_with_what_limits_them(option
         assert not option.hands_move
 
 
-def test_options_are_minima_of_their_own(options: list[Option]) -> None:
+def test_options_are_distinct_minima(options: list[Option]) -> None:
     """Descending from all of them ends at as many places as there are options."""
     task, q = problem(), np.array([option.q for option in options])
     lower, _ = descend(task, q, task.energies(q), np.random.default_rng(16), 30)
@@ -193,7 +193,7 @@ def test_from_almost_every_start_some_option_is_better_and_can_be_driven_to(robo
 
 
 @pytest.mark.long
-def test_where_nothing_better_is_found_the_search_goes_on_and_its_bar_never_goes_back() -> None:
+def test_a_search_without_improvement_continues_with_a_bound_that_never_rises() -> None:
     (boxed_in,) = starts(CELL, "dawm", 1, seed=901)
     done: list[float] = []
 
@@ -223,7 +223,7 @@ def advised_from(robot: str, q: Array, **asked: Any) -> list[Option]:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("robot", STARTS)
-def test_an_option_is_no_nearer_to_a_limit_than_a_fiftieth_where_the_start_is_not(robot: str) -> None:
+def test_an_option_keeps_a_fiftieth_of_the_range_from_limits_if_the_start_does(robot: str) -> None:
     model = CellModel.load(CELLS[robot]).robots[robot]
     extent = model.upper - model.lower
     for q, found in zip(STARTS[robot], answers(robot), strict=True):
@@ -241,7 +241,7 @@ def test_a_start_that_is_best_is_an_option_that_needs_no_motion() -> None:
 
 
 @pytest.mark.long
-def test_hands_that_may_leave_are_offered_more_and_that_is_told() -> None:
+def test_hands_that_may_leave_get_more_marked_options() -> None:
     gr = CellModel.load("lab").robots["gr"]
     found = advised_from("gr", gr.home, hands_may_leave=True, effort=0.3)
     leaving = [option for option in found if option.hands_leave]
@@ -255,7 +255,7 @@ def test_hands_that_may_leave_are_offered_more_and_that_is_told() -> None:
 
 
 @pytest.mark.long
-def test_an_arm_without_a_joint_to_spare_is_offered_its_other_branches() -> None:
+def test_a_non_redundant_arm_is_offered_its_other_branches() -> None:
     (q,) = starts(CellModel.load("lab"), "fr", 1, seed=3)
     found = advised_from("fr", q, hands_may_leave=True)
     assert sum(option.hands_leave for option in found) >= 2
@@ -266,7 +266,7 @@ def test_an_arm_without_a_joint_to_spare_is_offered_its_other_branches() -> None
 
 
 @pytest.mark.nightly
-def test_a_trade_off_is_a_front_of_the_two_criteria_and_all_of_it_can_be_reached() -> None:
+def test_a_trade_off_is_a_pareto_front_of_reachable_options() -> None:
     names = ("travel", "self_clearance")
     found = advised_from("dawm", DAWM.home, trade_off=names)
     costs = np.array([[option.costs[name] for name in names] for option in found])
@@ -276,7 +276,7 @@ def test_a_trade_off_is_a_front_of_the_two_criteria_and_all_of_it_can_be_reached
     assert all(option.path is not None for option in found)
 
 
-def test_a_trade_off_that_is_none_is_refused() -> None:
+def test_an_invalid_trade_off_is_refused() -> None:
     with pytest.raises(CriterionError, match="no criterion 'travle'"):
         advised_from("dawm", DAWM.home, trade_off=("travle", "speed"), effort=0.1)
     elsewhere = DAWM.home + 0.1
@@ -287,7 +287,7 @@ def test_a_trade_off_that_is_none_is_refused() -> None:
 @pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize("joint", [0, 4], ids=["the torso", "an arm"])
-def test_a_path_from_elsewhere_moves_the_hands_and_is_clear(joint: int) -> None:
+def test_a_path_to_other_hand_poses_moves_the_hands_and_is_clear(joint: int) -> None:
     elsewhere = DAWM.home.copy()
     elsewhere[joint] -= 0.3
     found = advise(
@@ -304,7 +304,7 @@ def test_a_path_from_elsewhere_moves_the_hands_and_is_clear(joint: int) -> None:
 
 
 @pytest.mark.nightly
-def test_a_way_round_is_found_where_the_straight_way_is_barred() -> None:
+def test_a_detour_is_found_if_the_straight_path_is_blocked() -> None:
     task = problem()
     space = HandsKept(TRACKER, task.poses)
     ground = MotionValidator(DAWM, space, EXACT, DAWM.home[None], wider=1.0)
@@ -337,7 +337,7 @@ def test_a_pair_that_keeps_its_distance_is_reported_as_measured(robot: str, room
     assert exact.keeps(q[keeps], room_m)
 
 
-def test_a_tree_is_cut_where_an_edge_is_not_clear_and_leads_nowhere_from_there() -> None:
+def test_a_tree_is_cut_at_a_blocked_edge() -> None:
     ground = MotionValidator(DAWM, HandsMoved(DAWM), EXACT, DAWM.home[None], wider=1.0)
     tree, through = Tree(DAWM.home, ground), DAWM.home.copy()
     through[[2, 4, 10, 12]] = DAWM.lower[[2, 4, 10, 12]]
@@ -369,7 +369,7 @@ def test_a_search_that_is_cancelled_ends_with_what_it_has() -> None:
 
 
 @pytest.mark.long
-def test_progress_grows_and_tells_the_least_energy_and_the_options_so_far() -> None:
+def test_progress_grows_and_reports_the_least_energy_and_the_options_so_far() -> None:
     told: list[Progress] = []
     found = advise(
         problem(),
@@ -402,12 +402,12 @@ def test_hands_out_of_reach_give_no_option_and_no_error(method: str) -> None:
     assert found == []
 
 
-def test_a_method_that_there_is_none_is_refused_by_name() -> None:
+def test_an_unknown_method_is_refused_by_name() -> None:
     with pytest.raises(AdvisorError, match="no method 'anealing'; there are annealing, shotgun, genetic"):
         search(problem(), np.random.default_rng(0), "anealing")
 
 
-def test_poses_that_are_none_are_refused() -> None:
+def test_invalid_poses_are_refused() -> None:
     poses = TRACKER.hands(DAWM.home)
     with pytest.raises(AdvisorError, match=r"shape \(2, 4, 4\), got \(1, 4, 4\)"):
         AdvisorProblem(CELL, "dawm", poses[:1], None, TRACKER)
@@ -415,7 +415,7 @@ def test_poses_that_are_none_are_refused() -> None:
         AdvisorProblem(CELL, "dawm", 2 * poses, None, TRACKER)
 
 
-def test_a_robot_without_a_joint_to_spare_is_refused() -> None:
+def test_a_non_redundant_robot_is_refused() -> None:
     lab = CellModel.load("lab")
     fr = lab.robots["fr"]
     with pytest.raises(AdvisorError, match="'fr' is not redundant"):
@@ -424,7 +424,7 @@ def test_a_robot_without_a_joint_to_spare_is_refused() -> None:
         AdvisorProblem(lab, "xy", fr.forward(fr.home)[None])
 
 
-def test_a_pool_keeps_its_best_and_tells_them_apart() -> None:
+def test_a_pool_keeps_its_best_distinct_members() -> None:
     pool = Pool(np.empty((0, 2)))
     pool.add(np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 1.0]]), np.array([2.0, 1.0, 3.0]))
     pool.add(np.array([[5.0, 5.0]]), np.array([np.inf]))

@@ -46,7 +46,7 @@ def go_to(run: PlainDrive, rank: int, cycles: int = LONGEST_CYCLES) -> None:
 @pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize("robot", ["gr", "dawm"])
-def test_one_option_after_the_other_is_gone_to_with_the_hands_still(robot: str) -> None:
+def test_several_options_are_reached_in_turn_with_the_hands_in_place(robot: str) -> None:
     run = plain(robot)
     home = run.now
     ranks = drivable(run)
@@ -63,7 +63,7 @@ def test_one_option_after_the_other_is_gone_to_with_the_hands_still(robot: str) 
 
 
 @pytest.mark.long
-def test_a_choice_taken_back_on_the_way_is_rest_on_the_way_and_can_be_gone_on_with() -> None:
+def test_a_withdrawn_choice_stops_on_the_path_and_can_be_resumed() -> None:
     run = plain("gr")
     home = run.now
     (rank, *_) = drivable(run)
@@ -84,7 +84,7 @@ def test_a_choice_taken_back_on_the_way_is_rest_on_the_way_and_can_be_gone_on_wi
 
 @pytest.mark.long
 @pytest.mark.nightly
-def test_another_option_chosen_on_the_way_is_gone_to_from_there() -> None:
+def test_another_option_chosen_on_the_path_is_reached_from_there() -> None:
     run = plain("gr")
     first, second, *_ = drivable(run)
     go_to(run, first, 150)
@@ -114,7 +114,7 @@ def test_the_mode_is_switched_during_motion_without_a_jump() -> None:
 
 
 @pytest.mark.long
-def test_an_option_that_there_is_none_is_told_and_nothing_moves() -> None:
+def test_an_unknown_option_is_reported_and_nothing_moves() -> None:
     run = plain("gr")
     home = run.now
     go_to(run, 9, 50)
@@ -127,7 +127,7 @@ def test_an_option_that_there_is_none_is_told_and_nothing_moves() -> None:
     assert run.teleoperator.limitation is None
 
 
-def test_a_robot_without_a_joint_to_spare_has_no_advisor_and_hand_axes_are_refused() -> None:
+def test_a_non_redundant_robot_has_no_advisor_mode_and_hand_axes_are_refused() -> None:
     with pytest.raises(ControllerError, match="advisor needs a redundant robot, 'fr' is not"):
         advised(model("fr"))
     with pytest.raises(ControllerError, match=r"'x' is not driven in mode advisor .* an option of its own"):
@@ -162,7 +162,7 @@ class AtALoss(Thinking):
     is_busy, progress = False, Progress("finding paths", 1.0, np.inf, 1000)
 
 
-def test_where_nothing_holds_the_hands_the_operator_is_told_what_to_do() -> None:
+def test_if_no_configuration_holds_the_hands_the_operator_gets_a_remedy() -> None:
     run = PlainDrive("gr", DrivingMode.JOINT)
     run.teleoperator = advised(run.robot, advisor=AtALoss())
     go_to(run, 1, 50)
@@ -172,7 +172,7 @@ def test_where_nothing_holds_the_hands_the_operator_is_told_what_to_do() -> None
     assert not run.teleoperator.awaits_advice
 
 
-def test_the_robot_rests_while_the_advisor_thinks_and_the_question_is_given_up_on_leaving() -> None:
+def test_the_robot_rests_during_the_search_and_leaving_the_mode_cancels_it() -> None:
     run, advisor = PlainDrive("gr", DrivingMode.JOINT), Thinking()
     run.teleoperator = advised(run.robot, advisor=advisor)
     home = run.now
@@ -193,7 +193,7 @@ def test_the_robot_rests_while_the_advisor_thinks_and_the_question_is_given_up_o
     [(0, 1e-4, 0.01), (6, 1e-4, 0.01)],
     ids=["answering every cycle", "falling silent on the way"],
 )
-def test_measured_hands_stay_on_the_way_to_an_option_through_the_whole_stack(
+def test_measured_hands_stay_in_place_on_the_path_to_an_option_through_the_whole_stack(
     silent_cycles: int, at_most_m: float, at_most_deg: float
 ) -> None:
     run = StackDrive("dawm", DrivingMode.JOINT)
@@ -234,7 +234,7 @@ def off_m(run: PlainDrive) -> float:
 
 
 @pytest.mark.nightly
-def test_from_a_way_on_which_the_hand_left_its_place_another_option_has_it_in_place_again() -> None:
+def test_the_next_option_brings_back_a_hand_that_left_its_pose() -> None:
     run = PlainDrive("gr", DrivingMode.JOINT)
     advisor = SynchronousAdvisor(AdvisorSession(cell_of("gr"), "gr", options=12, effort=0.3))
     run.teleoperator = advised(run.robot, advisor=advisor, hands_may_leave=True)
@@ -255,7 +255,7 @@ def test_from_a_way_on_which_the_hand_left_its_place_another_option_has_it_in_pl
 
 
 @pytest.mark.nightly
-def test_the_way_from_where_a_hand_has_left_its_place_begins_there_and_need_not_lead_back() -> None:
+def test_a_path_after_a_hand_left_its_pose_begins_there_and_need_not_lead_back() -> None:
     cell = cell_of("gr")
     session = AdvisorSession(cell, "gr", options=12, effort=0.3)
     home = cell.robots["gr"].home
@@ -286,7 +286,7 @@ def test_the_way_from_where_a_hand_has_left_its_place_begins_there_and_need_not_
     assert len(way) < len(back) + len(onwards)
 
 
-def test_hands_that_hold_an_object_do_not_leave_their_place_for_an_option() -> None:
+def test_hands_that_hold_an_object_stay_in_place_for_every_option() -> None:
     robot = model("dawm")
     tracker = tracker_of(robot)
     end = robot.home + np.where([name == "left_1" for name in robot.joint_names], 0.2, 0.0)

@@ -90,7 +90,9 @@ async def running() -> AsyncIterator[Running]:
 
 
 @pytest.mark.long
-async def test_where_no_verdict_comes_every_state_is_answered_and_they_are_counted(running: Running) -> None:
+async def test_without_verdicts_every_state_is_answered_and_missing_verdicts_are_counted(
+    running: Running,
+) -> None:
     running.peer.judges = False
     async with running.driving():
         await running.until(lambda: running.statistics.unanswered >= 10)
@@ -99,7 +101,7 @@ async def test_where_no_verdict_comes_every_state_is_answered_and_they_are_count
     assert running.statistics.cycles == running.statistics.unanswered
 
 
-async def test_after_verdicts_that_were_lost_it_goes_on_from_where_the_robot_is(running: Running) -> None:
+async def test_after_lost_verdicts_it_continues_from_the_present_setpoint(running: Running) -> None:
     async with running.driving():
         await running.until(lambda: len(running.seen) > 10)
         running.peer.judges = False
@@ -120,7 +122,7 @@ async def test_a_lost_lease_ends_it(running: Running) -> None:
                     await task
 
 
-async def test_an_hli_that_is_gone_ends_it() -> None:
+async def test_a_lost_hli_ends_it() -> None:
     # who is slow here is the machine, and not the holder of a lease
     description = small_cell(gate={"lookahead_cycles": 3}, lease_s=20.0)
     async with guarded_peer(description) as peer:
@@ -140,7 +142,7 @@ async def test_an_hli_that_is_gone_ends_it() -> None:
 
 
 @pytest.mark.long
-async def test_while_verdicts_come_each_increment_is_added_to_the_one_before(running: Running) -> None:
+async def test_each_increment_is_added_to_the_preceding_one_while_verdicts_arrive(running: Running) -> None:
     async with running.driving():
         await running.until(lambda: len(running.seen) > 60)
     moved = np.diff(running.seen[5:])
@@ -168,7 +170,7 @@ def state(robot: str, cycle: int, q_cmd: tuple[float, ...]) -> RobotState:
     )
 
 
-def test_an_increment_that_the_state_does_not_show_yet_is_taken_as_commanded() -> None:
+def test_an_increment_not_yet_in_the_state_counts_as_commanded() -> None:
     seen = state("fr", 7, (1.0, 2.0))
     verdict = Verdict(robot="fr", cycle=7, seq=1, outcome=Outcome.ADMITTED, dq=(0.1, 0.2))
     under_way = own_view(seen, verdict)
@@ -180,9 +182,7 @@ def test_an_increment_that_the_state_does_not_show_yet_is_taken_as_commanded() -
         assert plain.cycle == 7
 
 
-def test_robots_whose_state_or_clock_is_not_known_are_left_out_and_others_are_stamped_on_the_own_clock() -> (
-    None
-):
+def test_robots_without_state_or_clock_are_omitted_and_others_are_stamped_on_the_own_clock() -> None:
     fr, gr = state("fr", 7, (1.0,)), state("gr", 3, (2.0,))
     own, clocks = RobotView.from_state(fr), RobotClocks(("fr", "gr"), 0.012)
     assert view_of(Told(fr), "fr", own, clocks).others == {}
@@ -199,7 +199,7 @@ def test_robots_whose_state_or_clock_is_not_known_are_left_out_and_others_are_st
 
 @pytest.mark.service
 @pytest.mark.parametrize(("delay_s", "cycle_s"), [(0.0, 0.1), (0.07, 0.1), (0.03, 0.012)])
-async def test_a_playout_buffer_is_asked_for_from_farther_away_than_a_cycle(
+async def test_a_jitter_buffer_is_requested_if_the_round_trip_exceeds_a_cycle(
     delay_s: float, cycle_s: float
 ) -> None:
     with ExitStack() as served:
@@ -238,24 +238,24 @@ def left_out(catch_up: CatchUp, cycles: int, late: Callable[[int], bool]) -> lis
     return found
 
 
-def test_a_controller_that_keeps_pace_answers_every_state_and_so_does_one_that_is_late_now_and_then() -> None:
+def test_a_punctual_or_occasionally_late_controller_answers_every_state() -> None:
     assert left_out(CatchUp(), 2000, lambda cycle: False) == []
     assert left_out(CatchUp(), 2000, lambda cycle: cycle % 99 > 0) == []
 
 
-def test_one_that_stays_behind_leaves_out_one_state_and_where_it_helps_no_other() -> None:
+def test_a_permanently_late_controller_omits_one_state_and_no_second_if_that_helps() -> None:
     catch_up = CatchUp()
     (first,) = left_out(catch_up, 2000, lambda cycle: cycle < 102)
     assert first == 101
 
 
-def test_where_leaving_out_is_in_vain_it_is_done_ever_more_seldom() -> None:
+def test_omissions_without_effect_become_rarer() -> None:
     gaps = np.diff(left_out(CatchUp(), 100_000, lambda cycle: True))
     assert gaps[:3].tolist() == [201, 401, 801]
     assert set(gaps[6:]) == {10_001}
 
 
-def test_a_verdict_that_refuses_or_never_came_is_not_late() -> None:
+def test_a_refusing_or_missing_verdict_is_not_late() -> None:
     catch_up = CatchUp()
     refused = verdict_on(1, None)
     assert not any(catch_up.leaves_out(told_state(1, 0.0), verdict) for verdict in [refused, None] * 1000)
@@ -283,7 +283,7 @@ def wait_for(advisor: AdvisorProcess, reached: Callable[[], bool]) -> None:
 
 
 @pytest.mark.service
-def test_options_come_first_their_ways_follow_and_a_question_given_up_is_answered_no_more() -> None:
+def test_options_precede_their_paths_and_a_cancelled_question_gets_no_answer() -> None:
     with advisor() as asked:
         asked.ask(GR.home)
         assert asked.is_busy
@@ -317,7 +317,7 @@ def test_unanswerable_requests_are_reported() -> None:
 
 
 @pytest.mark.service
-def test_a_process_that_has_ended_is_told_and_ends_no_loop() -> None:
+def test_an_ended_process_is_reported_without_ending_the_loop() -> None:
     with advisor() as asked:
         asked.ask(GR.home)
         assert asked._process.pid is not None

@@ -96,7 +96,7 @@ def test_no_branch_comes_twice(case: Case) -> None:
             assert np.all(apart > 1e-6)
 
 
-def test_both_roads_find_the_same_branches() -> None:
+def test_closed_form_and_newton_find_the_same_branches() -> None:
     closed, numeric = Case("ur", "closed form"), Case("ur", "numeric")
     random = np.random.default_rng(3)
     found = missed = 0
@@ -117,7 +117,7 @@ def test_both_roads_find_the_same_branches() -> None:
 )
 @settings(max_examples=40, deadline=None)
 @pytest.mark.parametrize("name", ["ur", "panda"])
-def test_a_solution_is_one_or_is_none_also_in_singularities(
+def test_solutions_are_valid_or_missing_also_in_singularities(
     name: str, q: np.ndarray, singular: list[int]
 ) -> None:
     case = _cached(name)
@@ -156,7 +156,7 @@ def test_an_unreachable_or_invalid_pose_is_reported_and_stops_nothing_else(case:
         case.arm.inverse(good, hint=np.full(6, np.nan))
 
 
-def test_the_nearest_solution_is_the_reference_a_little_moved(case: Case) -> None:
+def test_near_a_reference_the_nearest_solution_is_its_continuation(case: Case) -> None:
     random = np.random.default_rng(4)
     q = random.uniform(case.lower + 0.1, case.upper - 0.1, (50, 6))
     moved = q + random.normal(0.0, 0.005, q.shape)
@@ -211,7 +211,7 @@ def test_a_robot_is_split_into_its_arm_and_the_joints_that_are_free(name: str, f
         np.testing.assert_allclose(found, q, atol=1e-4)
 
 
-def test_a_panda_turns_about_its_hand_without_moving_it() -> None:
+def test_the_self_motion_of_a_panda_keeps_its_hand() -> None:
     robot = ROBOTS["panda"]
     tracker = ConstraintTracker(robot)
     poses, home = tracker.hands(robot.home), robot.home

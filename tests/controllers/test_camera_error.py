@@ -91,7 +91,9 @@ def test_one_pass_gives_the_poses_and_jacobians_of_the_robots_model(
 
 
 @pytest.mark.parametrize("off", [0.0, 1e-13, 1e-9, 0.5 * ANTIPODE_RAD])
-def test_exactly_behind_the_camera_everything_is_finite_and_the_way_round_is_the_one_told(off: float) -> None:
+def test_exactly_behind_the_camera_all_is_finite_and_the_given_direction_of_rotation_is_used(
+    off: float,
+) -> None:
     behind = np.array([-math.sin(off), 0.0, -math.cos(off)])
     way = np.array([0.6, 0.8])
     view = look(np.eye(3), np.zeros(3), behind, way)
@@ -102,7 +104,7 @@ def test_exactly_behind_the_camera_everything_is_finite_and_the_way_round_is_the
     assert math.isclose(math.atan(np.linalg.norm(view.psi)) * 2, view.angle, rel_tol=1e-9)
 
 
-def test_just_short_of_behind_the_camera_the_way_round_is_the_short_one() -> None:
+def test_nearly_behind_the_camera_the_rotation_takes_the_short_direction() -> None:
     angle = math.pi - 2 * ANTIPODE_RAD
     view = look(np.eye(3), np.zeros(3), np.array([0.0, -math.sin(angle), math.cos(angle)]))
     assert not view.undecided

@@ -26,7 +26,7 @@ def behind(q: np.ndarray, distance_m: float) -> np.ndarray:
 
 @pytest.mark.by_day(4)
 @pytest.mark.parametrize("q", STARTS)
-def test_from_anywhere_the_camera_turns_to_the_focus_without_looking_back(q: np.ndarray) -> None:
+def test_the_camera_turns_to_the_focus_monotonically_from_any_start(q: np.ndarray) -> None:
     follower = CameraFollower(FR, None, CYCLE_S, floor_m=None)
     run = approach(follower, q, FOCUS, 4.0)
     assert run.violations == 0
@@ -95,7 +95,7 @@ def least_clearance(q: np.ndarray, q_leader: np.ndarray) -> float:
 
 @pytest.mark.long
 @pytest.mark.parametrize("speed_m_s", [0.25, 0.75])
-def test_the_camera_gives_way_to_a_leader_that_comes_for_it_and_goes_on_looking(speed_m_s: float) -> None:
+def test_the_camera_evades_an_approaching_leader_and_keeps_looking_at_it(speed_m_s: float) -> None:
     follower, gantry = CameraFollower(FR, GR, CYCLE_S), Kinematics(GR, "tool")
     q, dq, q_leader = np.array(FR.home), np.zeros(6), np.array(GR.home)
     focus = GR.forward(q_leader)[:3, 3]
@@ -117,7 +117,7 @@ def test_the_camera_gives_way_to_a_leader_that_comes_for_it_and_goes_on_looking(
     assert max(angles[80:]) < 0.1
 
 
-def test_too_near_the_camera_task_is_given_up_and_taken_up_again_farther_away() -> None:
+def test_the_camera_task_is_suspended_near_bodies_and_resumed_farther_away() -> None:
     gains = FollowerGains(emergency_on_m=10.0, emergency_off_m=10.1, repulsion_range_m=0.3)
     follower = CameraFollower(FR, GR, CYCLE_S, gains)
     dq = follower.increment(np.array(FR.home), np.zeros(6), FOCUS, np.array(GR.home), 1.2, 0.0)

@@ -111,7 +111,7 @@ def test_another_leader_is_watched_without_a_jump(name: str) -> None:
     assert loop.violations == 0
 
 
-def test_a_wish_that_was_taken_is_not_taken_again() -> None:
+def test_a_requested_view_is_applied_once() -> None:
     loop = Loop("qp")
     wish = ViewWish(distance_m=1.0)
     loop.camera.take(wish)
@@ -122,7 +122,7 @@ def test_a_wish_that_was_taken_is_not_taken_again() -> None:
     assert loop.camera.desired_distance_m == 1.3
 
 
-def test_a_wish_for_a_distance_leaves_a_point_that_it_was_started_with() -> None:
+def test_a_requested_distance_keeps_the_initial_target_point() -> None:
     point = np.array([0.0, -0.8, 1.2])
     camera = camera_controller_named("qp", Scene(lab(), "fr", "gr"), 1.25, point)
     in_use = CameraInUse({"gr": camera}, "gr", Outlook(lab(), "fr"))
@@ -153,7 +153,7 @@ BOTH = ViewWish(distance_m=1.25, targets=(GR, AIDE))
 
 @pytest.mark.by_day(1)
 @pytest.mark.parametrize("name", ["paper", "qp"])
-def test_a_target_that_is_hidden_is_left_for_the_next_and_returned_to_without_a_jump(name: str) -> None:
+def test_a_hidden_target_is_replaced_by_the_next_and_resumed_without_a_jump(name: str) -> None:
     loop = Loop(name, curtained()).run(0.4, BOTH)
     assert loop.camera.target == GR, "an arm that passes by is waited for"
     loop.run(3.5, BOTH)
@@ -169,7 +169,7 @@ def test_a_target_that_is_hidden_is_left_for_the_next_and_returned_to_without_a_
 
 @pytest.mark.by_day(1)
 @pytest.mark.parametrize("name", ["paper", "qp"])
-def test_a_target_that_is_seen_only_from_where_another_is_watched_is_tried_less_and_less_often(
+def test_a_target_visible_only_from_elsewhere_is_tried_ever_more_rarely(
     name: str,
 ) -> None:
     loop, turned, before = Loop(name, curtained((0.5, 0.5, 0.3))), [], GR
@@ -183,7 +183,7 @@ def test_a_target_that_is_seen_only_from_where_another_is_watched_is_tried_less_
     assert loop.violations == 0
 
 
-def test_a_target_alone_that_is_hidden_is_kept_and_told_with_what_hides_it() -> None:
+def test_a_single_hidden_target_is_kept_and_reported_with_the_hiding_body() -> None:
     loop = Loop("qp", curtained()).run(0.1)
     assert loop.camera.sight is Sight.FRESH
     loop.run(0.6)
@@ -202,7 +202,7 @@ def test_a_robot_without_a_state_is_no_target() -> None:
     assert loop.camera.target == AIDE
 
 
-def test_another_distance_does_not_make_the_camera_look_elsewhere() -> None:
+def test_another_distance_does_not_change_the_target() -> None:
     loop = Loop("qp", curtained()).run(2.0, BOTH)
     assert loop.camera.target == AIDE
     loop.run(0.1, BOTH.model_copy(update={"distance_m": 1.0}))
@@ -210,7 +210,7 @@ def test_another_distance_does_not_make_the_camera_look_elsewhere() -> None:
     assert loop.camera.desired_distance_m == 1.0
 
 
-def test_after_several_targets_a_robot_is_looked_at_where_the_follower_was_started_to() -> None:
+def test_after_several_targets_a_leader_is_watched_at_the_initial_point() -> None:
     offset_m = (0.0, 0.0, 0.08)
     camera = camera_controller_named("qp", Scene(lab(), "fr", "gr", offset_m), 1.25)
     in_use = CameraInUse({"gr": camera}, "gr", Outlook(lab(), "fr"))

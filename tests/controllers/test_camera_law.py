@@ -62,7 +62,7 @@ def test_the_task_rate_is_bounded_by_what_can_be_braked(degrees: float) -> None:
     assert speed > 0.5 * min(math.sqrt(2 * gains.turn_rad_s2 * angle), gains.direction * angle)
 
 
-def test_joints_with_room_make_up_for_those_that_cannot_follow() -> None:
+def test_joints_with_reserve_compensate_for_joints_at_their_bounds() -> None:
     robot = lab().robots["fr"]
     law = CameraLaw(robot, CYCLE_S, CYCLE_S * robot.max_velocity, FollowerGains(), floor_m=None)
     kinematics = Kinematics(robot, "camera")

@@ -45,7 +45,7 @@ class Standing:
         return self.gauge.look({"fr": self.q, "gr": self.q_leader}, self.focus).eyes_seeing
 
 
-def test_the_lens_moves_until_both_eyes_see_between_the_fingers_and_keeps_angle_and_distance() -> None:
+def test_the_lens_moves_until_both_eyes_see_between_the_fingers_at_constant_angle_and_distance() -> None:
     qp, clear = (Standing(name, lab(), offset_m=(0.0, 0.0, 0.0)).run(4.0) for name in ("qp", "clear-view"))
     assert qp.eyes_seeing == 0
     assert clear.eyes_seeing == 2
@@ -74,7 +74,7 @@ def test_where_nothing_is_near_the_line_of_sight_its_increments_are_those_of_qp(
         assert (qp.run(CYCLE_S).q == clear.run(CYCLE_S).q).all()
 
 
-def test_the_nearer_side_is_kept_past_the_middle_of_a_body_and_left_at_a_limit() -> None:
+def test_the_side_of_passing_is_kept_beyond_the_middle_of_a_body_and_changed_at_a_limit() -> None:
     side, x = Side(SightGains()), np.array([1.0, 0.0, 0.0])
     stalled_s = SightGains().stalled_s
     fast, still = 0.1 * CYCLE_S * x, np.zeros(3)

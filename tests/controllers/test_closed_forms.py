@@ -113,7 +113,7 @@ def test_the_chain_of_the_kr16_places_its_flange_as_the_model_does() -> None:
 
 
 @pytest.mark.long
-def test_among_the_branches_is_the_configuration_that_the_pose_came_from(name: str) -> None:
+def test_the_branches_contain_the_original_configuration(name: str) -> None:
     q = np.random.default_rng(3).uniform(-np.pi, np.pi, (100_000, 6))
     branches = ARMS[name].solver.inverse(ARMS[name].poses(q))
     # a joint is no better known than the distance to the nearest singularity lets it
@@ -128,7 +128,7 @@ def test_a_pose_well_inside_the_workspace_has_eight_different_solutions(name: st
             assert difference(branches.q[first], branches.q[second]) > 0.1
 
 
-def test_the_branches_of_the_kr16_are_in_the_order_that_is_told() -> None:
+def test_the_branches_of_the_kr16_have_the_documented_order() -> None:
     branches = kr16.solver.inverse(kr16.pose(NEAR["kr16"]))
     assert np.all(np.cos(branches.q[:4, 0] - np.deg2rad(20)) > 0)
     assert np.all(np.cos(branches.q[4:, 0] - np.deg2rad(20)) < 0)
@@ -139,14 +139,14 @@ def test_the_branches_of_the_kr16_are_in_the_order_that_is_told() -> None:
     assert np.all(branches.q[1::2, 4] <= 0)
 
 
-def test_no_pose_that_has_a_solution_inside_the_limits_is_missed() -> None:
+def test_every_pose_with_a_solution_inside_the_limits_is_solved() -> None:
     q = np.random.default_rng(4).uniform(LOWER, UPPER, (20_000, 6))
     nearest = titan.solver.inverse(titan.poses(q)).nearest(np.zeros(6), LOWER, UPPER)
     assert np.isfinite(nearest).all()
     assert np.all((nearest >= LOWER) & (nearest <= UPPER))
 
 
-def test_a_pose_out_of_reach_is_told_and_not_clipped(name: str) -> None:
+def test_a_pose_out_of_reach_is_reported_without_clipping(name: str) -> None:
     pose = np.eye(4)
     # a Titan stretched out reaches 1.92 m
     pose[:3, 3] = (0.0, 0.0, 1.93) if name == "titan" else (2.0, 0.0, 0.0)
@@ -213,7 +213,7 @@ def test_near_singularities_the_round_trip_stays_exact(name: str, distance: floa
 
 
 @pytest.mark.parametrize("kind", [TitanInverse, Kr16Inverse])
-def test_a_tool_is_taken_off_before_anything_is_solved(kind: type[TitanInverse | Kr16Inverse]) -> None:
+def test_the_tool_transform_is_removed_before_solving(kind: type[TitanInverse | Kr16Inverse]) -> None:
     arm = titan if kind is TitanInverse else kr16
     T_end_tool = pin.SE3(pin.rpy.rpyToMatrix(0.3, -0.5, 0.8), np.array([0.02, -0.05, 0.28])).homogeneous
     q = np.random.default_rng(6).uniform(-np.pi, np.pi, (500, 6))
@@ -233,7 +233,7 @@ def test_other_lengths_are_other_arms() -> None:
     arm.check(branches, wanted)
 
 
-def test_one_pose_gives_what_many_give(name: str) -> None:
+def test_a_single_pose_gives_the_same_as_a_batch(name: str) -> None:
     poses = ARMS[name].poses(np.random.default_rng(8).uniform(-1, 1, (3, 6)))
     many, one = ARMS[name].solver.inverse(poses), ARMS[name].solver.inverse(poses[1])
     assert one.q.shape == (8, 6)

@@ -50,7 +50,7 @@ def increments(text: str) -> np.ndarray:
 
 
 @pytest.mark.long
-def test_the_machine_code_of_a_law_gives_what_its_python_does() -> None:
+def test_the_machine_code_of_a_law_agrees_with_its_python() -> None:
     compiled, python = increments(run(LAW)), increments(run(LAW, NUMBA_DISABLE_JIT="1"))
     assert np.abs(compiled).max() > 1e-4
     np.testing.assert_allclose(compiled, python, rtol=1e-9, atol=1e-13)
@@ -59,7 +59,7 @@ def test_the_machine_code_of_a_law_gives_what_its_python_does() -> None:
 ONE = "\n@compiled\ndef one() -> float: return 1.0\n"
 
 
-def test_machine_code_is_kept_beside_the_code_and_under_the_sources_of_all_of_it(tmp_path: Path) -> None:
+def test_machine_code_is_cached_beside_its_source_by_a_hash_of_all_sources(tmp_path: Path) -> None:
     package, nowhere = tmp_path / "package", tmp_path / "cache"
     package.mkdir()
     (package / "law.py").write_text(ONE)
@@ -72,7 +72,7 @@ def test_machine_code_is_kept_beside_the_code_and_under_the_sources_of_all_of_it
     assert not nowhere.exists()
 
 
-def test_where_the_code_cannot_be_written_to_what_was_installed_is_copied_to_the_users_cache(
+def test_installed_machine_code_in_an_unwritable_folder_is_copied_to_the_user_cache(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     package, cache = tmp_path / "package", tmp_path / "cache"
@@ -100,7 +100,7 @@ def test_every_function_that_may_be_part_of_another_is_part_of_its_code(
         assert folder_of(package, tmp_path) != before
 
 
-def test_machine_code_is_kept_by_package_and_that_of_a_script_beside_the_decorator() -> None:
+def test_machine_code_is_cached_by_package_and_that_of_a_script_beside_the_decorator() -> None:
     assert package_of("deltaq_controllers.camera.law").name == "deltaq_controllers"
     assert package_of("deltaq_cell.kernel.look").name == "deltaq_cell"
     assert package_of("__main__").name == package_of("no_such_module").name == "deltaq_cell"
@@ -150,7 +150,7 @@ def test_an_inlined_function_makes_no_array_and_stays_python(
         makes_no_array(lambda count: zeros(count))(3)
 
 
-def test_where_nothing_can_be_written_to_nothing_is_kept(tmp_path: Path) -> None:
+def test_without_a_writable_folder_no_machine_code_is_cached(tmp_path: Path) -> None:
     (tmp_path / "__pycache__").write_text("not a folder")
     (tmp_path / "cache").write_text("nor this")
     assert folder_of(tmp_path, tmp_path / "cache") == ""
@@ -166,7 +166,7 @@ with told_of_compiling(print):
 
 
 @pytest.mark.nightly
-def test_machine_code_goes_with_a_package_to_another_place(tmp_path: Path) -> None:
+def test_machine_code_stays_valid_if_its_package_is_moved(tmp_path: Path) -> None:
     laws = tmp_path / "here" / "moved" / "laws"
     laws.mkdir(parents=True)
     for folder in (laws.parent, laws):

@@ -76,7 +76,7 @@ def test_the_hands_stay_to_1e_12_while_the_base_moves(robot: RobotModel) -> None
     np.testing.assert_array_equal(q[there][:, tracker.base], base[there])
 
 
-def test_every_branch_that_is_solved_puts_its_hand_where_it_shall_be() -> None:
+def test_every_solved_branch_reaches_its_hand_pose() -> None:
     robot = ROBOTS["dawm"]
     tracker = ConstraintTracker(robot)
     poses = tracker.hands(robot.home)
@@ -95,7 +95,7 @@ def test_the_branch_nearest_to_the_reference_is_taken(robot: RobotModel) -> None
         np.testing.assert_allclose(q, reference, atol=1e-6)
 
 
-def test_a_base_outside_its_limits_and_a_hand_out_of_reach_are_told() -> None:
+def test_a_base_beyond_its_limits_and_a_hand_out_of_reach_are_reported() -> None:
     robot = ROBOTS["gr"]
     tracker = ConstraintTracker(robot)
     base = np.array([robot.home[:3], robot.upper[:3] + 0.01])
@@ -117,7 +117,7 @@ def test_a_base_pose_is_part_of_it() -> None:
     np.testing.assert_allclose(q, robot.home, atol=1e-9)
 
 
-def test_an_arm_that_is_nearly_a_kr16_is_not_taken_for_one() -> None:
+def test_an_arm_similar_to_a_kr16_is_not_treated_as_one() -> None:
     description = LAB.description.robots["fr"]
     urdf = ROBOTS["fr"].urdf.replace('xyz="0.68 0 0"', 'xyz="0.58 0 0"')
     assert urdf != ROBOTS["fr"].urdf
@@ -153,7 +153,7 @@ def driven(name: str, command: OperatorCommand, seconds: float = 1.0) -> np.ndar
 
 @pytest.mark.parametrize("name", ["ur", "panda"])
 @pytest.mark.parametrize("mode", [DrivingMode.DECOUPLED, DrivingMode.COUPLED])
-def test_the_hand_goes_along_its_line_and_does_not_turn(name: str, mode: DrivingMode) -> None:
+def test_the_hand_moves_along_its_line_without_rotation(name: str, mode: DrivingMode) -> None:
     way = driven(name, OperatorCommand({"z": -0.05}, mode))
     T = [CELL.robots[name].forward(q) for q in way]
     moved = np.array([pose[:3, 3] - T[0][:3, 3] for pose in T])
@@ -177,7 +177,7 @@ def test_a_panda_moves_itself_and_not_its_hand() -> None:
     assert max(np.abs(pose - T[0]).max() for pose in T) < 1e-4
 
 
-def test_a_ur_has_no_self_motion_and_says_so() -> None:
+def test_a_ur_refuses_self_motion_with_a_reason() -> None:
     with pytest.raises(
         ControllerError, match="self-motion needs more than 6 joints for 1 hand, robot 'ur' has 6"
     ):
@@ -189,7 +189,7 @@ def test_a_ur_has_no_self_motion_and_says_so() -> None:
 
 
 @pytest.mark.long
-def test_a_panda_is_advised_and_goes_to_the_option_with_its_hand_in_place() -> None:
+def test_a_panda_reaches_an_option_with_its_hand_in_place() -> None:
     tracker, start = ConstraintTracker(PANDA), START["panda"]
     problem = AdvisorProblem(CELL, "panda", tracker.hands(start), None, tracker)
     exact = ExactClearance(CELL, "panda")
@@ -217,7 +217,7 @@ def test_a_panda_is_advised_and_goes_to_the_option_with_its_hand_in_place() -> N
 
 @pytest.mark.long
 @pytest.mark.nightly
-def test_a_ur_is_offered_its_other_branches_and_ways_to_another_pose(tmp_path) -> None:
+def test_a_ur_is_offered_its_other_branches_and_paths_to_another_pose(tmp_path) -> None:
     file = tmp_path / "arms.yaml"
     file.write_text(published_arms.description())
     leaving = advice(AdviceRequest(cell=str(file), robot="ur", offline=True, hands_may_leave=True))
@@ -233,7 +233,7 @@ def test_a_ur_is_offered_its_other_branches_and_ways_to_another_pose(tmp_path) -
 
 
 @pytest.mark.parametrize("name", ["ur", "panda"])
-def test_a_pose_of_the_hand_is_planned_and_one_out_of_reach_is_said(name: str) -> None:
+def test_a_path_to_a_hand_pose_is_planned_and_an_unreachable_pose_reported(name: str) -> None:
     robot = CELL.robots[name]
     planner = ReachPlanner(CELL, name)
     T = robot.forward(START[name])

@@ -28,9 +28,7 @@ def schedule() -> tuple[int, int]:
 
 
 @needs_priority
-def test_a_control_loop_and_the_threads_that_carry_its_messages_run_ahead_and_are_ordinary_afterwards() -> (
-    None
-):
+def test_a_control_loop_and_its_message_threads_have_real_time_priority_only_inside_the_block() -> None:
     asked, ended = threading.Event(), threading.Event()
     seen = []
 
@@ -72,7 +70,7 @@ def test_the_priority_of_a_controller_is_below_everything_that_answers_it() -> N
     assert GREED_S < 1.0  # a lease outlasts it
 
 
-def test_a_loop_in_another_thread_asks_for_nothing() -> None:
+def test_a_loop_in_another_thread_requests_no_priority() -> None:
     allowed = []
 
     def control() -> None:

@@ -48,7 +48,7 @@ def url(shared_stack: SharedStack) -> str:
     return shared_stack.renewed().cell.hli
 
 
-def test_without_a_server_both_say_so_and_exit_with_3() -> None:
+def test_without_a_server_leader_and_follower_exit_with_status_3() -> None:
     nowhere = f"tcp/127.0.0.1:{free_ports(1)[0]}"
     for module in (FOLLOWER, LEADER):
         status, summary, err = finish(start(module, "--url", nowhere))
@@ -108,7 +108,7 @@ def test_a_running_follower_takes_another_distance_and_another_target(url: str) 
     assert summary["robot"] == "fr", "the cell's first with a camera"
 
 
-def test_a_running_follower_turns_from_a_target_that_is_hidden_to_the_next_and_says_so(url: str) -> None:
+def test_a_running_follower_changes_from_a_hidden_target_to_the_next_and_logs_it(url: str) -> None:
     under_the_deck = ViewTarget(focus_m=(-0.55, -2.2, 0.3))
     with connect(url, client="operator") as cell:
         cell.view("fr", targets=[under_the_deck, ViewTarget(leader="gr")])
@@ -136,7 +136,7 @@ def test_a_running_follower_turns_from_a_target_that_is_hidden_to_the_next_and_s
     assert json.loads(out.splitlines()[-1])["view"]["view_hidden"] > 0
 
 
-def test_the_camera_follows_the_leader_over_real_processes_and_both_end_when_told(url: str) -> None:
+def test_the_camera_follows_the_leader_over_real_processes_until_sigterm_ends_both(url: str) -> None:
     leader = start(LEADER, "--url", url, "--seed", "1")
     follower = start(FOLLOWER, "--url", url, "--duration-s", "6", "--settle-s", "3")
     try:

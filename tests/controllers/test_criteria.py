@@ -104,7 +104,7 @@ def test_gravity_is_pinocchios(robot: str) -> None:
         np.testing.assert_allclose(torque, expected, atol=1e-3 * np.abs(expected).max())
 
 
-def test_two_arms_that_mirror_each_other_share_the_load_and_one_that_reaches_out_has_more() -> None:
+def test_mirrored_arms_share_the_load_and_an_outstretched_arm_has_more() -> None:
     data = DATA["dawm"]
     out = data.robot.home.copy()
     out[[3, 4, 5]] = 0.0, 1.2, -0.2
@@ -126,7 +126,7 @@ def test_joints_in_their_middle_are_best_and_joints_at_a_limit_worst() -> None:
     assert Normalised(data, {"limits": 1.0}).total(Postures(data, q))[1] > 0.99
 
 
-def test_a_stretched_arm_is_singular_on_a_robot_that_has_nothing_but_the_arm() -> None:
+def test_a_stretched_arm_without_base_joints_is_singular() -> None:
     data = RobotData(CELLS["gr"], "fr")
     stretched = np.zeros((1, 6))
     bent = np.deg2rad([[0, -60, 80, 30, 50, 0]])
@@ -166,7 +166,7 @@ def clear(data: RobotData, count: int, seed: int) -> Postures:
     return Postures(data, postures.q[room > 0.01][:count])
 
 
-def test_a_clearance_is_less_than_the_least_room_by_at_most_what_its_smoothness_costs() -> None:
+def test_a_smooth_clearance_underestimates_the_least_distance_within_its_bound() -> None:
     postures = clear(DATA["dawm"], 30, seed=6)
     near = postures.near
     for criterion, kind in CLEARANCES.items():
@@ -178,7 +178,7 @@ def test_a_clearance_is_less_than_the_least_room_by_at_most_what_its_smoothness_
 
 
 @pytest.mark.parametrize("robot", DATA)
-def test_the_nearest_of_each_kind_is_the_one_that_is_found_by_measuring_all(robot: str) -> None:
+def test_the_nearest_pair_of_each_kind_agrees_with_exhaustive_measurement(robot: str) -> None:
     cell, data = CELLS[robot], DATA[robot]
     for q in clear(data, 20, seed=12).q:
         told, every = data.bodies.nearest(q), all_rooms(cell, robot, data, q)
@@ -232,7 +232,7 @@ def transform(pose: pin.SE3) -> coal.Transform3s:
     return coal.Transform3s(pose.rotation, pose.translation)
 
 
-def test_a_hand_counts_only_against_what_the_joints_can_bring_nearer() -> None:
+def test_a_hand_counts_only_against_bodies_that_the_joints_can_approach() -> None:
     data = DATA["dawm"]
     hands = {joint for joint, _, _ in data.kinematics.hands}
     assert len(hands) == 2
@@ -257,7 +257,7 @@ def test_other_robots_count_where_they_are_placed() -> None:
     assert not (Postures(alone, q).near.kind == PairKind.ROBOTS).any()
 
 
-def test_one_hand_that_is_singular_is_not_hidden_by_the_other() -> None:
+def test_a_regular_hand_does_not_hide_a_singular_one() -> None:
     data = DATA["dawm"]
     q = some(data, 1, seed=13).q
     better = BY_NAME["manipulability"]
@@ -270,7 +270,7 @@ def test_one_hand_that_is_singular_is_not_hidden_by_the_other() -> None:
 
 
 @pytest.mark.parametrize("robot", DATA)
-def test_a_screen_never_tells_more_than_the_distance_of_the_bodies(robot: str) -> None:
+def test_the_screen_never_overstates_the_distance_of_two_bodies(robot: str) -> None:
     data = DATA[robot]
     bodies = data.bodies
     for q in some(data, 20, seed=14).q:
@@ -306,6 +306,6 @@ def test_costs_are_one_half_at_the_reference_and_lie_between_0_and_1_except_in_c
         ({"travel": float("nan")}, "weight of travel must be"),
     ],
 )
-def test_a_weight_that_is_none_is_refused(weights: dict[str, float], message: str) -> None:
+def test_an_invalid_weight_is_refused(weights: dict[str, float], message: str) -> None:
     with pytest.raises(CriterionError, match=message):
         Normalised(DATA["gr"], weights)

@@ -79,13 +79,13 @@ def goes_as_far(robot: str, rates: dict[str, float]) -> None:
     ("robot", "axis", "rate"),
     [("dawm", "x", 0.1), ("dawm", "ry", -0.2), ("gr", "z", 0.1), ("fr", "z", 0.1)],
 )
-def test_coupled_goes_as_far_as_decoupled_and_as_pink_on_its_line(robot: str, axis: str, rate: float) -> None:
+def test_coupled_reaches_as_far_on_its_line_as_decoupled_and_pink(robot: str, axis: str, rate: float) -> None:
     goes_as_far(robot, {axis: rate})
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("robot", ["fr", "dawm", "gr"])
-def test_coupled_goes_as_far_in_every_direction(robot: str) -> None:
+def test_coupled_reaches_as_far_in_every_direction(robot: str) -> None:
     for rates in commands(model(robot)):
         goes_as_far(robot, rates)
 
@@ -99,7 +99,7 @@ def test_coupled_goes_as_far_in_every_direction(robot: str) -> None:
         ("fr", COUPLED, "rx", 0.2, Limit.JOINT_LIMIT),
     ],
 )
-def test_at_a_limit_the_robot_stands_still_and_says_which_one(
+def test_at_a_limit_the_robot_stops_and_names_the_limit(
     robot: str, mode: DrivingMode, axis: str, rate: float, limit: Limit
 ) -> None:
     run = PlainDrive(robot, mode)
@@ -125,7 +125,7 @@ def test_a_joint_at_its_limit_is_no_singularity() -> None:
 
 @pytest.mark.long
 @pytest.mark.nightly
-def test_where_bodies_come_near_the_robot_stops_by_itself_and_the_gate_refuses_nothing() -> None:
+def test_near_bodies_the_controller_stops_the_robot_before_the_gate_refuses() -> None:
     run = StackDrive("dawm", COUPLED, keeps_clear=True)
     driven = run.drive(5.5, **{"left.y": -0.15})
     assert {verdict.outcome for verdict in driven.verdicts} == {Outcome.ADMITTED}
@@ -140,7 +140,7 @@ def test_where_bodies_come_near_the_robot_stops_by_itself_and_the_gate_refuses_n
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("mode", [COUPLED, DECOUPLED])
-def test_a_hand_that_meets_a_moving_robot_stops_by_itself_and_the_gate_holds_neither(
+def test_near_a_moving_robot_the_controller_stops_the_hand_before_the_gate_holds(
     mode: DrivingMode,
 ) -> None:
     run = StackDrive("gr", mode, keeps_clear=True)
@@ -174,7 +174,7 @@ def test_motion_continues_from_the_scaled_increment() -> None:
 
 
 @pytest.mark.parametrize("jerk_time_s", [0.05, 0.2])
-def test_a_jerk_limit_is_kept_while_a_hand_starts_goes_and_stops(jerk_time_s: float) -> None:
+def test_a_jerk_limit_is_kept_during_start_motion_and_stop_of_a_hand(jerk_time_s: float) -> None:
     run = PlainDrive("gr", COUPLED)
     run.teleoperator = Teleoperator(run.robot, CYCLE_S, COUPLED, jerk_time_s=jerk_time_s)
     q = [run.now] * 3 + run.drive(2.0, x=0.1).q_cmd + run.drive(2.0).q_cmd
@@ -193,7 +193,7 @@ def test_a_jerk_time_out_of_range_is_named_with_its_bounds() -> None:
 
 
 @pytest.mark.long
-def test_a_drive_that_keeps_clear_ends_where_bodies_come_near_and_says_so() -> None:
+def test_a_drive_with_clearance_ends_near_bodies_with_a_reason() -> None:
     robot, cell = model("dawm"), CellModel.load("dawm")
     freely, _, _ = drive(robot, COUPLED, {"left.y": -0.2}, 4.0, CYCLE_S)
     clear, _, limited = drive(robot, COUPLED, {"left.y": -0.2}, 4.0, CYCLE_S, cell)

@@ -66,12 +66,12 @@ def start() -> CourseStart:
     return CourseStart(np.array(FR.home), np.zeros(FR.n), FOCUS, 1.25)
 
 
-def test_a_course_leads_the_joints_that_carry_the_camera_about(arm: EscapingArm) -> None:
+def test_a_candidate_trajectory_leads_the_joints_that_position_the_camera(arm: EscapingArm) -> None:
     assert arm.leads.tolist() == [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]
     assert arm.sees.all()
 
 
-def test_the_model_places_joints_where_the_robot_has_them(arm: EscapingArm) -> None:
+def test_the_model_places_joints_like_the_robot(arm: EscapingArm) -> None:
     placed, random = placed_at_first(arm.boxed.anatomy), np.random.default_rng(3)
     for _ in range(5):
         q = random.uniform(FR.lower, FR.upper)
@@ -79,7 +79,7 @@ def test_the_model_places_joints_where_the_robot_has_them(arm: EscapingArm) -> N
         assert placed.translation == pytest.approx(FR.joint_origins(q), abs=1e-9)
 
 
-def test_a_step_goes_as_the_law_says_with_the_view_of_the_other_controllers(arm: EscapingArm) -> None:
+def test_a_simulated_step_agrees_with_the_law_and_the_view_of_the_other_controllers(arm: EscapingArm) -> None:
     placed, seen, camera = (
         placed_at_first(arm.boxed.anatomy),
         SimulatedView.of(FR.n),
@@ -143,7 +143,7 @@ def test_no_clearance_is_greater_than_that_of_the_bodies(arm: EscapingArm) -> No
         assert told > least - 0.5, "and not without bound less"
 
 
-def test_the_best_of_some_courses_costs_what_it_costs_alone_and_less_than_the_others(
+def test_the_best_of_several_candidates_costs_the_same_alone_and_less_than_the_others(
     arm: EscapingArm,
 ) -> None:
     random = np.random.default_rng(5)
@@ -168,7 +168,7 @@ def past_the_lens(speed: float) -> Attacker:
     return Attacker(lens[None], np.array([0.3]), lens, away, speed, NOTHING)
 
 
-def test_the_cost_of_a_contact_persists_for_the_rest_of_a_course(arm: EscapingArm) -> None:
+def test_the_cost_of_a_contact_persists_for_the_rest_of_a_candidate(arm: EscapingArm) -> None:
     none = GAINS._replace(contact=0.0)
     costs = [
         course_cost(arm, past_the_lens(2.0), gains, start(), STAY, 0, Simulation.of(arm, gains), math.inf)
@@ -177,7 +177,7 @@ def test_the_cost_of_a_contact_persists_for_the_rest_of_a_course(arm: EscapingAr
     assert costs[0] == pytest.approx(costs[1] + GAINS.contact * GAINS.steps)
 
 
-def test_it_costs_at_the_end_if_the_attacker_is_near_what_cannot_get_out_of_the_way(arm: EscapingArm) -> None:
+def test_an_attacker_near_the_base_costs_at_the_end(arm: EscapingArm) -> None:
     assert sorted(arm.boxed.anatomy.carrier[arm.boxed.inner]) == [-1, 0], "the base and the first link"
     shoulder, extra = FR.joint_origins(FR.home)[1], []
     for metres in (0.6, 3.0):
@@ -230,7 +230,7 @@ def test_a_tools_target_is_inferred_from_its_path(target: int) -> None:
 
 
 @pytest.mark.parametrize("target", [LENS, 2])
-def test_a_tool_that_has_been_slipped_past_is_still_after_the_same_point(target: int) -> None:
+def test_an_evaded_tool_still_pursues_the_same_point(target: int) -> None:
     joints, lens = FR.joint_origins(FR.home), FR.camera_pose(FR.home)[:3, 3]
     points, pursued = np.vstack([lens, joints]), target - LENS
     pursuit, stick, q = Pursuit(SCENE), HomingStick(0.5, CYCLE_S), np.array(GR.home)
@@ -249,7 +249,7 @@ def test_a_tool_that_has_been_slipped_past_is_still_after_the_same_point(target:
     assert told[60:] == [target] * 180
 
 
-def test_a_tool_that_goes_elsewhere_is_after_nothing_and_a_slowed_one_after_its_point() -> None:
+def test_a_tool_that_moves_elsewhere_pursues_nothing_and_a_slowed_one_its_point() -> None:
     joints, lens = FR.joint_origins(FR.home), FR.camera_pose(FR.home)[:3, 3]
     tool = GR.forward(GR.home)[:3, 3]
     away = tool + 5.0 * np.cross(lens - tool, [0.0, 0.0, 1.0])
@@ -267,7 +267,7 @@ def test_a_tool_that_goes_elsewhere_is_after_nothing_and_a_slowed_one_after_its_
 
 
 @pytest.mark.long
-def test_each_joint_that_a_course_leads_goes_as_the_course_does(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_led_joint_moves_as_its_candidate_trajectory(monkeypatch: pytest.MonkeyPatch) -> None:
     wanted = np.array([0.1, -0.3, 0.1, 0.0, 0.0, 0.0])
 
     def in_danger(plan: EscapePlan, _attacker: Attacker, _start: CourseStart) -> Array:
@@ -287,7 +287,7 @@ def test_each_joint_that_a_course_leads_goes_as_the_course_does(monkeypatch: pyt
 
 
 @pytest.mark.long
-def test_a_course_that_leads_has_foreseen_what_the_other_robot_needs_to_brake() -> None:
+def test_a_leading_candidate_includes_the_braking_distance_of_the_other_robot() -> None:
     lens, tool = FR.camera_pose(FR.home)[:3, 3], GR.forward(GR.home)[:3, 3]
     toward = (lens - tool) / np.linalg.norm(lens - tool)
     reserve = {}
@@ -307,7 +307,7 @@ def test_a_course_that_leads_has_foreseen_what_the_other_robot_needs_to_brake() 
 
 
 @pytest.mark.long
-def test_with_a_clear_view_it_is_the_quadratic_programme() -> None:
+def test_without_robots_in_the_way_the_increments_are_those_of_qp() -> None:
     followers = [make(SCENE, 1.25, FOCUS) for make in (QpFollower, EscapingFollower)]
     q = np.array(FR.home)
     for cycle in range(5):
@@ -321,7 +321,7 @@ def test_with_a_clear_view_it_is_the_quadratic_programme() -> None:
 
 
 @pytest.mark.nightly
-def test_an_attack_on_the_elbow_that_reaches_the_programme_does_not_reach_the_escape() -> None:
+def test_an_attack_on_the_elbow_hits_qp_and_misses_escape() -> None:
     options = Options(
         leader_speed_m_s=0.5, target="elbow", gated=False, duration_s=6.0, settle_s=1.0, seed=104
     )

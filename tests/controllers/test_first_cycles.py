@@ -58,9 +58,7 @@ def test_nothing_is_compiled_loaded_or_imported_while_a_robot_is_leased(case: st
 @pytest.mark.parametrize(
     "case", ["modes-panda", "modes-gr", "criteria-panda", "counsel-panda", "paper", "qp"]
 )
-def test_nothing_is_compiled_while_a_robot_is_leased_where_nothing_was_before(
-    case: str, tmp_path: Path
-) -> None:
+def test_nothing_is_compiled_during_a_lease_after_an_empty_cache(case: str, tmp_path: Path) -> None:
     package = Path(deltaq_controllers.__file__).parent
     shutil.copytree(package, tmp_path / package.name, ignore=shutil.ignore_patterns("__pycache__"))
     told = waited(case, before=tmp_path)

@@ -59,7 +59,7 @@ def follow(name: str, leader_speed_m_s: float) -> Seen:
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["predictive", "qp"])
-def test_a_leader_that_freezes_is_told_stale_and_lost_moves_no_more_and_is_found_again_without_a_jump(
+def test_a_frozen_leader_becomes_stale_and_lost_and_is_resumed_without_a_jump(
     name: str,
 ) -> None:
     seen = follow(name, 0.25)

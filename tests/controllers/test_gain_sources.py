@@ -28,15 +28,13 @@ UNITS = {
 
 
 @TABLES
-def test_every_gain_has_a_source_and_no_source_is_of_a_gain_that_is_gone(
-    gains: Any, sources: dict[str, GainSource]
-) -> None:
+def test_gains_and_sources_correspond(gains: Any, sources: dict[str, GainSource]) -> None:
     assert tuple(sources) == gains._fields
     assert all(all(source) for source in sources.values())
 
 
 @TABLES
-def test_a_unit_in_a_name_is_that_of_the_table(gains: Any, sources: dict[str, GainSource]) -> None:
+def test_a_unit_in_a_gain_name_agrees_with_the_table(gains: Any, sources: dict[str, GainSource]) -> None:
     for name in gains._fields:
         endings = sorted((end for end in UNITS if name.endswith(end)), key=len)
         if endings:

@@ -68,7 +68,7 @@ class Settled(Gamepad):
 # --- what must not move ---------------------------------------------------------------------------------------
 
 
-def test_no_gamepad_says_what_to_use(pad: VirtualPad) -> None:
+def test_a_missing_gamepad_is_reported_with_alternatives(pad: VirtualPad) -> None:
     pad.pull_out()
     with pytest.raises(ControllerError, match=r"no gamepad is plugged in.* use the keyboard or `--script`"):
         Gamepad(teleoperator()).__enter__()
@@ -104,7 +104,7 @@ def test_keys_held_at_the_start_of_a_drive_must_be_released_first(pad: VirtualPa
         assert gamepad.look().rates["x"] == pytest.approx(0.1)
 
 
-def test_a_stick_or_trigger_that_never_rests_leaves_the_whole_pad_unarmed_but_for_the_button_that_ends(
+def test_a_stick_or_trigger_never_at_rest_disables_everything_but_the_end_button(
     pad: VirtualPad,
 ) -> None:
     # as a trigger does whose axis is taken for a stick's
@@ -121,7 +121,7 @@ def test_a_stick_or_trigger_that_never_rests_leaves_the_whole_pad_unarmed_but_fo
         assert gamepad.read(gamepad.time_s + CYCLE_S) is None
 
 
-def test_events_of_a_pad_as_it_is_found_are_no_press(pad: VirtualPad) -> None:
+def test_events_at_the_connection_of_a_pad_are_no_press(pad: VirtualPad) -> None:
     with Gamepad(teleoperator()) as gamepad:
         assert gamepad.read(0.0) == REST
         # as a pad does whose first report comes late
@@ -131,7 +131,7 @@ def test_events_of_a_pad_as_it_is_found_are_no_press(pad: VirtualPad) -> None:
         assert gamepad.read(2.0 * SETTLE_S) == REST
 
 
-def test_a_pad_that_is_unplugged_is_rest_and_goes_on_when_it_is_back(pad: VirtualPad) -> None:
+def test_an_unplugged_pad_means_rest_and_resumes_when_plugged_in(pad: VirtualPad) -> None:
     with Settled(teleoperator()) as gamepad:
         pad.press(MOVE)
         pad.push(*AHEAD)
@@ -150,7 +150,7 @@ def test_a_pad_that_is_unplugged_is_rest_and_goes_on_when_it_is_back(pad: Virtua
         assert gamepad.look().rates["x"] == pytest.approx(0.1)
 
 
-def test_a_second_pad_is_not_listened_to(pad: VirtualPad) -> None:
+def test_a_second_pad_is_ignored(pad: VirtualPad) -> None:
     with Settled(teleoperator()) as gamepad, VirtualPad() as other:
         other.press(MOVE, PadButton.B)
         other.push(*AHEAD)
@@ -167,7 +167,7 @@ def test_the_sticks_count_only_while_a_shoulder_button_is_held(pad: VirtualPad) 
         assert gamepad.look() == REST
 
 
-def test_a_trigger_that_is_pulled_as_the_drive_begins_switches_nothing_until_it_was_let_go(
+def test_a_trigger_pulled_at_the_start_switches_nothing_until_it_was_released(
     pad: VirtualPad,
 ) -> None:
     pad.pull(Trigger.RIGHT, 1.0)
@@ -215,7 +215,7 @@ def test_the_left_shoulder_button_moves_and_the_right_one_turns(
         assert gamepad.look().rates == pytest.approx(rates, abs=1e-4)
 
 
-def test_a_tap_between_two_looks_counts_once(pad: VirtualPad) -> None:
+def test_a_tap_between_two_readings_counts_once(pad: VirtualPad) -> None:
     with Settled(teleoperator(mode=DrivingMode.JOINT)) as gamepad:
         pad.press(PadButton.RIGHT)
         pad.release(PadButton.RIGHT)
@@ -224,7 +224,7 @@ def test_a_tap_between_two_looks_counts_once(pad: VirtualPad) -> None:
         assert gamepad.joint == 1
 
 
-def test_the_stick_drives_the_joint_that_the_cross_chose(pad: VirtualPad) -> None:
+def test_the_stick_drives_the_joint_chosen_by_the_d_pad(pad: VirtualPad) -> None:
     with Settled(teleoperator(mode=DrivingMode.SELF_MOTION)) as gamepad:
         pad.press(TURN, PadButton.LEFT)
         pad.push(*AHEAD)
@@ -265,7 +265,7 @@ class Steps:
         (PadFunction.PICTURE, DrivingMode.COUPLED, set()),
     ],
 )
-def test_every_button_and_trigger_does_what_the_layout_says_that_the_console_has_too(
+def test_every_control_follows_the_layout_shared_with_the_console(
     pad: VirtualPad, function: PadFunction, mode: DrivingMode, does: set[str]
 ) -> None:
     (name,) = (control.name for control in PAD_LAYOUT if control.function is function)
@@ -294,7 +294,7 @@ def test_every_button_and_trigger_does_what_the_layout_says_that_the_console_has
     assert did == does
 
 
-def test_the_stick_goes_to_the_chosen_option_while_it_is_pushed(pad: VirtualPad) -> None:
+def test_a_pushed_stick_drives_to_the_chosen_option(pad: VirtualPad) -> None:
     with Settled(advised(model("gr"))) as gamepad:
         pad.press(TURN, PadButton.RIGHT)
         assert gamepad.look() == OperatorCommand(led="")
@@ -326,7 +326,7 @@ def test_the_right_trigger_switches_the_chosen_output_on_and_the_left_one_off_ea
         assert "output tool_changer" in gamepad.status
 
 
-def test_a_button_goes_round_left_right_the_object_and_both_hands_and_each_moves_as_chosen(
+def test_a_button_cycles_through_the_hands_and_the_object_and_moves_the_chosen_one(
     pad: VirtualPad,
 ) -> None:
     driven = teleoperator("dawm")
@@ -348,7 +348,7 @@ def test_a_button_goes_round_left_right_the_object_and_both_hands_and_each_moves
     ]
 
 
-def test_hands_that_are_chosen_by_the_pad_move_and_the_other_one_stays(pad: VirtualPad) -> None:
+def test_only_the_hand_chosen_by_the_pad_moves(pad: VirtualPad) -> None:
     run = PlainDrive("dawm", DrivingMode.COUPLED)
     hands = Hands(run.robot)
     hands.place(run.now)
@@ -374,7 +374,7 @@ def test_hands_that_are_chosen_by_the_pad_move_and_the_other_one_stays(pad: Virt
     assert moved[1][1] > 0.01
 
 
-def test_a_pad_without_motors_is_driven_all_the_same() -> None:
+def test_a_pad_without_rumble_motors_works() -> None:
     with VirtualPad(without_motors=True) as still, Settled(teleoperator()) as gamepad:
         for _ in range(3):
             gamepad.look()
@@ -382,7 +382,7 @@ def test_a_pad_without_motors_is_driven_all_the_same() -> None:
         assert still.rumbles == []
 
 
-def test_the_less_goes_through_the_stronger_the_pad_rumbles_and_it_ends_with_the_drive(
+def test_the_pad_rumbles_more_if_less_of_the_command_is_executed_and_stops_with_the_drive(
     pad: VirtualPad,
 ) -> None:
     with Settled(teleoperator()) as gamepad:

@@ -59,14 +59,14 @@ def held(mode: DrivingMode = DrivingMode.COUPLED, frame: Frame = Frame.WORLD) ->
         ("dawm", OperatorCommand({"left.x": 0.1}), DrivingMode.COUPLED, "'left.x' moves one hand alone"),
     ],
 )
-def test_a_motion_that_would_part_the_hands_is_refused(
+def test_a_motion_that_would_separate_the_hands_is_refused(
     robot: str, command: OperatorCommand, mode: DrivingMode, told: str
 ) -> None:
     with pytest.raises(ControllerError, match=told):
         Teleoperator(model(robot), CYCLE_S, DrivingMode.COUPLED).check(command, mode, OBJECT)
 
 
-def test_a_mode_that_would_part_the_hands_is_not_taken_over_while_they_hold() -> None:
+def test_a_mode_that_would_separate_the_hands_is_refused_during_a_grasp() -> None:
     run = held()
     with pytest.raises(ControllerError, match=r"choose grip free first, or another mode"):
         run.step(OperatorCommand(mode=DrivingMode.JOINT))
@@ -83,7 +83,7 @@ def test_a_mode_that_would_part_the_hands_is_not_taken_over_while_they_hold() ->
         ("- {duration_s: 1, grip: object}\n- {duration_s: 1, mode: joint}", "task.yaml:2: mode joint"),
     ],
 )
-def test_a_script_is_checked_with_the_grip_that_it_has_by_then(tmp_path: Path, text: str, told: str) -> None:
+def test_each_step_of_a_script_is_checked_with_its_present_grip(tmp_path: Path, text: str, told: str) -> None:
     file = tmp_path / "task.yaml"
     file.write_text(text, encoding="utf-8")
     with pytest.raises(ControllerError, match=told):
@@ -93,7 +93,7 @@ def test_a_script_is_checked_with_the_grip_that_it_has_by_then(tmp_path: Path, t
 # --- the object ---------------------------------------------------------------------------------------------------
 
 
-def test_hands_that_move_as_a_rigid_body_are_not_parted_and_are_placed_where_they_are(
+def test_rigid_motion_of_the_hands_has_no_relative_error(
     dawm: RobotModel, random: np.random.Generator
 ) -> None:
     rotations, positions = poses(dawm, dawm.home)
@@ -107,7 +107,7 @@ def test_hands_that_move_as_a_rigid_body_are_not_parted_and_are_placed_where_the
             assert found == pytest.approx(expected, abs=1e-9)
 
 
-def test_hands_that_were_parted_are_told_by_how_much_and_are_placed_together_again(
+def test_separated_hands_report_their_error_and_are_brought_together(
     dawm: RobotModel, random: np.random.Generator
 ) -> None:
     rotations, positions = poses(dawm, dawm.home)
@@ -136,7 +136,7 @@ def test_twists_of_the_hands_are_the_derivative_of_their_poses_on_the_object(
 
 @pytest.mark.long
 @pytest.mark.parametrize("mode", HANDS_MODES)
-def test_hands_keep_to_one_another_through_every_bound_where_free_ones_part(
+def test_hands_on_an_object_keep_their_relative_pose_at_bounds_that_separate_free_hands(
     dawm: RobotModel, mode: DrivingMode
 ) -> None:
     parted = drive(dawm, mode, OBJECT, CYCLE_S, seed=101, directions=3)
@@ -146,7 +146,9 @@ def test_hands_keep_to_one_another_through_every_bound_where_free_ones_part(
 
 
 @pytest.mark.long
-def test_a_gate_that_brakes_parts_the_hands_by_little_and_they_come_together_again(dawm: RobotModel) -> None:
+def test_a_brake_of_the_gate_separates_the_hands_little_and_they_come_together_again(
+    dawm: RobotModel,
+) -> None:
     parted = drive(dawm, DrivingMode.COUPLED, OBJECT, CYCLE_S, seed=102, lost_share=LOST_SHARE, directions=4)
     assert 1e-5 < parted[:, 0].max() < BRAKED_M
     assert parted[:, 1].max() < BRAKED_RAD
@@ -154,7 +156,7 @@ def test_a_gate_that_brakes_parts_the_hands_by_little_and_they_come_together_aga
 
 
 @pytest.mark.long
-def test_an_object_turns_about_its_middle_and_goes_along_its_own_axes(dawm: RobotModel) -> None:
+def test_an_object_turns_about_its_middle_and_moves_along_its_own_axes(dawm: RobotModel) -> None:
     run = held(frame=Frame.TOOL)
     start = poses(dawm, run.now)[1].mean(axis=0)
     run.drive(1.0, rz=0.5)
@@ -171,7 +173,7 @@ def test_an_object_turns_about_its_middle_and_goes_along_its_own_axes(dawm: Robo
     assert run.violations == 0
 
 
-def test_a_base_joint_of_both_arms_carries_the_object_and_one_of_one_arm_moves_beneath_it(
+def test_a_common_base_joint_carries_the_object_and_a_joint_of_one_arm_does_not(
     dawm: RobotModel,
 ) -> None:
     run = held(DrivingMode.DECOUPLED)
@@ -187,7 +189,7 @@ def test_a_base_joint_of_both_arms_carries_the_object_and_one_of_one_arm_moves_b
     assert max(taken.parted(*poses(dawm, run.now))) < KEPT_M
 
 
-def test_the_object_is_taken_and_let_go_at_rest_and_the_record_tells_it_apart(dawm: RobotModel) -> None:
+def test_an_object_is_taken_and_released_at_rest_and_marked_in_the_record(dawm: RobotModel) -> None:
     run = PlainDrive("dawm", DrivingMode.COUPLED)
     teleoperator = run.teleoperator
     log = DriveLog(teleoperator, CYCLE_S)
@@ -221,7 +223,7 @@ def test_the_limit_of_a_held_object_is_reported_as_such() -> None:
     assert limitation.text.startswith("the object, held by all hands: ")
 
 
-def test_a_key_goes_round_the_hands_to_the_object_and_leaves_out_the_mode_that_would_part_them() -> None:
+def test_a_key_cycles_through_hands_and_object_and_omits_the_mode_that_would_separate_them() -> None:
     run = PlainDrive("dawm", DrivingMode.COUPLED)
     terminal = Terminal(run.teleoperator)
     with terminal.keyboard:

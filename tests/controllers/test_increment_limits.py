@@ -21,7 +21,7 @@ def stays_inside_when_braked(robot: RobotModel, q: np.ndarray, dq: np.ndarray) -
 @pytest.mark.long
 @settings(max_examples=40, deadline=None)
 @given(st.sampled_from(ROBOTS), st.integers(0, 2**32 - 1), st.floats(0.01, 50.0), st.integers(1, 60))
-def test_whatever_is_wanted_every_increment_is_within_limits_and_can_be_braked(
+def test_for_any_request_increments_keep_limits_and_can_be_braked(
     robot: RobotModel, seed: int, scale: float, hold: int
 ) -> None:
     random = np.random.default_rng(seed)
@@ -56,9 +56,7 @@ def test_an_obviously_admissible_increment_is_returned_unchanged(robot: RobotMod
 
 @pytest.mark.parametrize("robot", ROBOTS)
 @pytest.mark.parametrize("side", [-1, 1])
-def test_a_robot_that_stands_at_its_limits_may_leave_them_and_goes_no_farther(
-    robot: RobotModel, side: int
-) -> None:
+def test_a_robot_at_its_limits_may_only_leave_them(robot: RobotModel, side: int) -> None:
     limits = IncrementLimits.of(robot, CYCLE_S)
     at_limit = np.array(robot.upper if side > 0 else robot.lower)
     out = limits.admissible(np.full(robot.n, side * 1.0), at_limit, np.zeros(robot.n))

@@ -42,7 +42,7 @@ def test_no_step_covers_more_than_a_fifth_of_the_cap() -> None:
     assert visited[-1][0] >= 0.0099
 
 
-def test_a_stiff_wall_does_not_throw_the_increment_beyond_its_cap() -> None:
+def test_a_stiff_repulsion_does_not_exceed_the_cap() -> None:
     cap = np.full(1, 0.01)
     moved = integrate(lambda q: np.array([-1e6 * (q[0] - 0.004)]), np.zeros(1), 0.06, 0.06, cap)
     assert abs(moved[0]) <= 0.01

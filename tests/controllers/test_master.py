@@ -120,7 +120,7 @@ def test_a_robot_cannot_lead_itself() -> None:
         Master(operator, model("gr"), lambda: (None, None), 1.0)
 
 
-def test_a_master_that_is_not_coupled_or_never_seen_moves_nothing() -> None:
+def test_an_uncoupled_or_silent_master_moves_nothing() -> None:
     led = Led()
     led.clutch.is_clutched = False
     assert led.drive(0.5, x=0.1) == OperatorCommand()
@@ -149,7 +149,7 @@ def test_a_silent_master_means_rest_until_it_is_coupled_again() -> None:
     assert led.drive(0.5, x=0.1).rates["x"] > 0.03
 
 
-def test_a_master_that_moves_as_it_is_found_leads_nothing_until_it_was_at_rest() -> None:
+def test_a_master_in_motion_leads_nothing_until_it_was_at_rest() -> None:
     led = Led()
     led.input = LedInput(led.clutch, Master(led.slave.teleoperator, led.leader.robot, led._look, 1.0))
     for is_clutched in (False, True, False, True):
@@ -178,7 +178,7 @@ def test_a_mode_without_hands_is_not_led() -> None:
     assert "leads no hand in mode joint" in led.input.status
 
 
-def test_the_end_of_the_drive_is_the_devices() -> None:
+def test_only_the_device_ends_the_drive() -> None:
     led = Led()
     led.clutch.command = None
     assert led.input.read(0.0) is None
@@ -187,7 +187,7 @@ def test_the_end_of_the_drive_is_the_devices() -> None:
 # --- what moves -----------------------------------------------------------------------------------------------
 
 
-def test_the_hand_goes_the_masters_way_scaled_and_turns_as_it_does() -> None:
+def test_the_hand_makes_the_scaled_displacement_and_the_rotation_of_the_master() -> None:
     led = Led(scale=0.5)
     led.drive(0.05)
     master, hand = led.poses()
@@ -204,7 +204,7 @@ def test_the_hand_goes_the_masters_way_scaled_and_turns_as_it_does() -> None:
     assert led.slave.violations == 0
 
 
-def test_uncoupled_the_master_is_brought_back_and_the_hand_stays() -> None:
+def test_the_hand_stays_while_an_uncoupled_master_is_brought_back() -> None:
     led = Led(scale=1.0)
     led.drive(1.0, x=0.1)
     led.clutch.is_clutched = False
@@ -218,7 +218,7 @@ def test_uncoupled_the_master_is_brought_back_and_the_hand_stays() -> None:
     assert led.poses()[1].position[0] - before[0] > 0.03
 
 
-def test_in_the_axes_of_the_tools_ahead_for_one_is_ahead_for_the_other() -> None:
+def test_in_tool_axes_forward_motion_of_the_master_is_forward_motion_of_the_hand() -> None:
     led = Led(scale=1.0, frame=Frame.TOOL)
     led.leader.teleoperator.frame = Frame.TOOL
     led.drive(0.05)
@@ -236,7 +236,7 @@ def random_pose(random: np.random.Generator) -> PlacedTool:
     return PlacedTool(pin.exp3(random.uniform(-1.0, 1.0, 3)), random.uniform(-1.0, 1.0, 3))
 
 
-def test_where_the_hand_cannot_follow_the_masters_way_back_moves_it_at_once(
+def test_a_hand_that_could_not_follow_reverses_at_once_with_the_master(
     random: np.random.Generator,
 ) -> None:
     for _ in range(10):
@@ -256,7 +256,7 @@ def test_where_the_hand_cannot_follow_the_masters_way_back_moves_it_at_once(
         assert twist[0] < -0.3, f"0.1 m back, and no more than {SLACK_M} m were kept"
 
 
-def test_a_step_that_no_tool_makes_is_no_wish() -> None:
+def test_an_impossible_step_of_the_master_is_no_command() -> None:
     master = PlacedTool(np.eye(3), np.zeros(3))
     led = LedPose(1.0)
     led.couple(master, master, own_axes=False)
@@ -315,7 +315,7 @@ def test_one_robot_of_a_cell_leads_the_other_through_the_gate() -> None:
 
 
 @pytest.mark.long
-def test_a_twin_that_is_moved_joint_by_joint_leads_its_arm_through_the_gate(tmp_path: Path) -> None:
+def test_a_twin_driven_joint_by_joint_leads_its_arm_through_the_gate(tmp_path: Path) -> None:
     """The cell of the guide; the twin's increments are those of some device's encoders."""
     steps_of_guide = steps(GUIDE.read_text(encoding="utf-8"))
     (text,) = (step.text for step in steps_of_guide if (step.kind, step.argument) == ("write", "twin.yaml"))

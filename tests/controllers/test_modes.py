@@ -36,7 +36,7 @@ def test_each_hand_of_two_has_an_arm_of_six_joints_and_the_rest_is_base() -> Non
 
 
 @pytest.mark.parametrize("mode", BY_HAND)
-def test_a_stick_let_go_brings_the_robot_to_rest_and_keeps_it_there(mode: DrivingMode) -> None:
+def test_releasing_the_stick_brings_the_robot_to_rest(mode: DrivingMode) -> None:
     run = PlainDrive("gr", mode)
     run.drive(1.0, **dict.fromkeys(run.teleoperator.axes(mode)[:1], 0.1))
     assert not run.teleoperator.is_at_rest
@@ -47,7 +47,7 @@ def test_a_stick_let_go_brings_the_robot_to_rest_and_keeps_it_there(mode: Drivin
 
 @pytest.mark.long
 @pytest.mark.parametrize("robot", ["gr", "dawm"])
-def test_no_wish_takes_an_increment_past_a_limit_of_position_speed_or_acceleration(robot: str) -> None:
+def test_no_command_exceeds_a_limit_of_position_speed_or_acceleration(robot: str) -> None:
     random = np.random.default_rng(3)
     run = PlainDrive(robot, COUPLED)
     for _ in range(25):
@@ -71,7 +71,7 @@ def test_a_mode_is_switched_in_motion_without_a_jump(before: DrivingMode, after:
 
 @pytest.mark.parametrize("mode", [DECOUPLED, COUPLED])
 @pytest.mark.parametrize(("robot", "axis"), [("gr", "x"), ("gr", "rz"), ("dawm", "z")])
-def test_a_hand_stays_on_its_line_while_it_starts_goes_and_stops(
+def test_a_hand_stays_on_its_line_during_start_motion_and_stop(
     mode: DrivingMode, robot: str, axis: str
 ) -> None:
     run, hands = PlainDrive(robot, mode), Hands(model(robot))
@@ -146,7 +146,7 @@ def driven_down(mode: CoupledMode, robot: RobotModel, cycles: int) -> np.ndarray
 
 
 @pytest.mark.long
-def test_the_criteria_of_coupled_lower_joint_travel_and_leave_the_hands_alone() -> None:
+def test_the_criteria_of_coupled_lower_joint_travel_without_moving_the_hands() -> None:
     robot = model("dawm")
     found = []
     for mode in (CoupledMode(robot), CoupledMode(robot, criteria=())):
@@ -163,7 +163,7 @@ def test_the_criteria_of_coupled_lower_joint_travel_and_leave_the_hands_alone() 
 @pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["manipulability", "smallest_singular_value", "condition"])
-def test_coupled_takes_any_criterion_of_the_table_and_betters_it(name: str) -> None:
+def test_coupled_accepts_and_improves_every_criterion(name: str) -> None:
     cell = CellModel.load("dawm")
     robot, data = cell.robots["dawm"], RobotData(cell, "dawm")
     cost = Normalised(data, {name: 1.0})
@@ -175,7 +175,7 @@ def test_coupled_takes_any_criterion_of_the_table_and_betters_it(name: str) -> N
 
 
 @pytest.mark.long
-def test_weights_given_by_name_make_an_elbow_give_way_to_what_stands_about() -> None:
+def test_criteria_by_name_move_an_elbow_away_from_obstacles() -> None:
     cell = CellModel.load("dawm")
     robot, data = cell.robots["dawm"], RobotData(cell, "dawm")
     q = np.random.default_rng(0).uniform(0.8 * robot.lower, 0.8 * robot.upper, (2000, robot.n))
@@ -213,12 +213,12 @@ def test_a_joint_that_was_driven_a_moment_ago_is_free_when_another_is_driven() -
     assert run.violations == 0
 
 
-def test_self_motion_needs_a_joint_to_spare() -> None:
+def test_self_motion_needs_a_redundant_robot() -> None:
     with pytest.raises(ControllerError, match="needs more than 6 joints for 1 hand, robot 'fr' has 6"):
         Teleoperator(model("fr"), CYCLE_S, SELF_MOTION)
 
 
-def test_an_axis_that_a_mode_does_not_drive_is_refused_with_those_that_it_does() -> None:
+def test_an_axis_foreign_to_a_mode_is_refused_with_the_valid_axes() -> None:
     teleoperator = Teleoperator(model("gr"), CYCLE_S)
     with pytest.raises(ControllerError, match="'x' is not driven in mode joint of robot gr; it drives e1"):
         teleoperator.check(OperatorCommand({"x": 0.1}), JOINT)
@@ -231,7 +231,9 @@ def test_an_axis_that_a_mode_does_not_drive_is_refused_with_those_that_it_does()
 
 @pytest.mark.long
 @pytest.mark.parametrize(("robot", "joint", "rate"), [("gr", "a2", 0.3), ("dawm", "right_6", -0.2)])
-def test_the_hands_stay_wherever_the_gate_brakes_a_self_motion(robot: str, joint: str, rate: float) -> None:
+def test_the_hands_stay_in_place_when_the_gate_brakes_a_self_motion(
+    robot: str, joint: str, rate: float
+) -> None:
     run = PlainDrive(robot, SELF_MOTION)
     run.drive(0.3)
     start = run.now

@@ -52,7 +52,7 @@ def wrist_stretched() -> np.ndarray:
     return q
 
 
-def test_a_singularity_of_the_wrist_is_named_in_the_direction_that_is_lost_alone() -> None:
+def test_a_wrist_singularity_is_named_only_in_the_lost_direction() -> None:
     lost = PlainDrive("gr", DECOUPLED, wrist_stretched())
     driven = lost.drive(0.5, **_about_the_lost_axis(lost))
     assert driven.limitations[-1] == Limit.SINGULARITY
@@ -141,7 +141,7 @@ def test_a_limit_is_reflected_and_an_acceleration_is_not() -> None:
 
 
 @pytest.mark.long
-def test_a_hand_that_is_slowed_down_on_its_line_is_told_by_how_much() -> None:
+def test_the_slow_down_of_a_hand_on_its_line_is_reported() -> None:
     run = PlainDrive("fr", DrivingMode.COUPLED)
     run.drive(0.5, x=-0.1)
     assert run.teleoperator.reflection.share > 0.99
@@ -165,7 +165,7 @@ def test_the_gates_reduction_applies_after_the_modes(outcome: Outcome, scale: fl
     assert reflection.share == pytest.approx(1.0, abs=1e-3)
 
 
-def test_the_share_counts_along_what_is_asked_for_alone() -> None:
+def test_the_executed_share_counts_only_the_requested_direction() -> None:
     run = PlainDrive("gr", DrivingMode.JOINT)
     hands = Hands(run.robot)
     asked = Motion.rest(9, 1)
@@ -204,7 +204,7 @@ def test_the_last_increment_is_the_difference_of_consecutive_setpoints() -> None
 
 @pytest.mark.parametrize("missed", [1, 2, 5, 30])
 @pytest.mark.parametrize("dq", [[0.01, -0.004], [0.0005, 0.0], [0.0, 0.0]])
-def test_over_missed_cycles_the_robot_is_known_to_have_braked(missed: int, dq: list[float]) -> None:
+def test_missed_cycles_count_as_braked(missed: int, dq: list[float]) -> None:
     last = LastIncrement(MAX_DDQ)
     q, admitted = np.array([1.0, 2.0]), np.array(dq)
     last.update(view(0, q))
@@ -214,13 +214,13 @@ def test_over_missed_cycles_the_robot_is_known_to_have_braked(missed: int, dq: l
     np.testing.assert_allclose(found, increments[-1], atol=1e-12)
 
 
-def test_a_server_that_starts_again_starts_from_rest() -> None:
+def test_a_restarted_server_starts_from_rest() -> None:
     last = LastIncrement(MAX_DDQ)
     last.update(view(100, np.zeros(2)))
     np.testing.assert_array_equal(last.update(view(1, np.ones(2))), [0.0, 0.0])
 
 
-def test_where_something_in_flight_was_lost_the_last_increment_is_still_the_same() -> None:
+def test_a_lost_increment_in_flight_does_not_change_the_last_increment() -> None:
     last, dq = LastIncrement(MAX_DDQ), np.array([0.01, 0.02])
     last.update(view(4, np.array([1.0, 2.0])))
     reckoned = view(5, np.array([1.0, 2.0]) + dq)
@@ -229,7 +229,7 @@ def test_where_something_in_flight_was_lost_the_last_increment_is_still_the_same
         np.testing.assert_allclose(last.update(view(cycle, np.array([1.0, 2.0]))), dq)
 
 
-def test_an_increment_under_way_counts_as_commanded() -> None:
+def test_an_increment_in_flight_counts_as_commanded() -> None:
     last = LastIncrement(MAX_DDQ)
     seen = view(4, np.array([1.0, 2.0]))
     last.update(seen)
@@ -251,7 +251,7 @@ def robot_named(name: str) -> RobotModel:
 
 
 @pytest.mark.parametrize("name", ["fr", "gr", "dawm", "seven"])
-def test_poses_and_jacobian_of_all_hands_are_pinocchios(name: str) -> None:
+def test_poses_and_jacobians_of_all_hands_agree_with_pinocchio(name: str) -> None:
     robot = robot_named(name)
     hands, data = Hands(robot), robot.model.createData()
     random = np.random.default_rng(0)
@@ -271,7 +271,7 @@ def test_poses_and_jacobian_of_all_hands_are_pinocchios(name: str) -> None:
         np.testing.assert_allclose(hands.jacobian, np.vstack(expected), atol=ROUNDING)
 
 
-def test_placing_leaves_the_jacobian_as_it_is() -> None:
+def test_placing_does_not_change_the_jacobian() -> None:
     robot = model("gr")
     hands = Hands(robot)
     hands.update(robot.home)
@@ -282,7 +282,7 @@ def test_placing_leaves_the_jacobian_as_it_is() -> None:
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-6, 0.3, 2.0, np.pi - 1e-5])
-def test_turning_and_what_turns_back_are_pinocchios(angle: float) -> None:
+def test_rotation_and_rotation_vector_agree_with_pinocchio(angle: float) -> None:
     random = np.random.default_rng(1)
     axes = np.array([pin.exp3(random.normal(size=3)) for _ in range(2)])
     ways = random.normal(size=(2, 3))
@@ -296,7 +296,7 @@ def test_turning_and_what_turns_back_are_pinocchios(angle: float) -> None:
     np.testing.assert_allclose(found[:, 3:], ways, atol=1e-9)
 
 
-def test_half_a_turn_is_told_as_one() -> None:
+def test_a_rotation_by_half_a_turn_is_exact() -> None:
     axes = np.eye(3)[None]
     around = np.diag([-1.0, -1.0, 1.0])[None]
     found = displacement(axes, np.zeros((1, 3)), around, np.zeros((1, 3)))

@@ -21,7 +21,7 @@ def seen(cycle: int, q_cmd: np.ndarray, q: np.ndarray | None = None) -> View:
     return View(own, {"gr": RobotView(cycle, time_s, Q_LEADER, Q_LEADER)})
 
 
-def test_the_robot_goes_to_its_start_comes_to_rest_there_and_then_follows() -> None:
+def test_the_robot_moves_to_its_start_rests_and_then_follows() -> None:
     camera = camera_controller_named("qp", Scene(lab(), "fr", "gr"), 1.25)
     start = ROBOT.home + np.array([0.3, -0.2, 0.1, 1.0, -0.4, 0.2])
     move_to_start = MoveToStart(camera, IncrementLimits.of(ROBOT, CYCLE_S), start)
@@ -40,7 +40,7 @@ def test_the_robot_goes_to_its_start_comes_to_rest_there_and_then_follows() -> N
 
 
 @pytest.mark.parametrize("behind", [1, 5, 12])
-def test_a_robot_behind_its_setpoint_has_arrived_when_it_rests_there_itself(behind: int) -> None:
+def test_a_lagging_robot_has_arrived_when_it_rests_at_the_start(behind: int) -> None:
     camera = camera_controller_named("qp", Scene(lab(), "fr", "gr"), 1.25)
     start = ROBOT.home + np.array([0.3, -0.2, 0.1, 1.0, -0.4, 0.2])
     move_to_start = MoveToStart(camera, IncrementLimits.of(ROBOT, CYCLE_S), start)
@@ -55,7 +55,7 @@ def test_a_robot_behind_its_setpoint_has_arrived_when_it_rests_there_itself(behi
     np.testing.assert_allclose(q, start, atol=2e-4)
 
 
-def test_the_distance_is_turned_by_the_stamps_and_the_last_one_stays() -> None:
+def test_the_distance_changes_by_the_stamps_and_the_last_one_stays() -> None:
     camera = camera_controller_named("paper", Scene(lab(), "fr", "gr"), 1.25)
     move_to_start = MoveToStart(
         camera, IncrementLimits.of(ROBOT, CYCLE_S), distances_m=(1.25, 1.0), hold_s=0.5

@@ -34,7 +34,7 @@ def test_rows_are_the_derivatives_of_the_distances(seed: int) -> None:
 
 
 @pytest.mark.long
-def test_pairs_that_are_left_out_are_measured_in_time() -> None:
+def test_omitted_pairs_are_measured_in_time() -> None:
     patient = Neighbours(lab(), "fr")
     ranges = np.full(len(patient.names), 0.4)
     start, end = configurations(0), configurations(3)
@@ -51,7 +51,7 @@ def test_pairs_that_are_left_out_are_measured_in_time() -> None:
     assert seen > 60
 
 
-def test_a_robot_that_jumps_leaves_nothing_near_unmeasured() -> None:
+def test_after_a_jump_of_a_robot_every_near_pair_is_measured() -> None:
     patient = Neighbours(lab(), "fr")
     ranges = np.full(len(patient.names), 0.6)
     for seed in range(20):
@@ -61,7 +61,7 @@ def test_a_robot_that_jumps_leaves_nothing_near_unmeasured() -> None:
         )
 
 
-def test_bodies_that_matter_from_afar_do_not_crowd_out_those_at_hand() -> None:
+def test_distant_bodies_do_not_displace_near_ones() -> None:
     few, all_of = Neighbours(lab(), "fr", most=4), Neighbours(lab(), "fr", most=1000)
     ranges = np.where(few.foreign, 3.0, 0.3)
     kinds: set[bool] = set()

@@ -123,7 +123,7 @@ def test_a_structure_near_one_side_puts_the_other_first(near: int) -> None:
 
 
 @pytest.mark.parametrize("near", [0, 1])
-def test_the_advisor_leads_away_from_the_structure(near: int) -> None:
+def test_the_advisor_prefers_configurations_away_from_the_structure(near: int) -> None:
     both = sides()
     found = advise(problem(elbow(both[near])), IN_PLANE, generator=np.random.default_rng(0), effort=0.5)
     assert found[0].path is not None
@@ -163,9 +163,7 @@ def asked(robot: str, number: int, hands_may_leave: bool) -> tuple[list[Option],
 @pytest.mark.long
 @pytest.mark.parametrize("number", [0, 1, 2])
 @pytest.mark.parametrize("robot", ["gr", "dawm", "fr"])
-def test_the_best_in_place_is_an_option_with_a_path_where_the_hands_may_leave(
-    robot: str, number: int
-) -> None:
+def test_with_hands_that_may_leave_the_best_option_in_place_has_a_path(robot: str, number: int) -> None:
     found, _ = asked(robot, number, True)
     in_place = [option for option in found if not option.hands_leave]
     assert len(found) <= COUNT

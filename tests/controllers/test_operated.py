@@ -109,7 +109,7 @@ def bench():
     return Bench()
 
 
-def test_a_command_crosses_the_pipe_as_it_is_and_one_of_another_form_is_refused_by_its_field():
+def test_a_command_passes_the_pipe_unchanged_and_a_malformed_one_is_refused_by_its_field():
     settings = (DrivingMode.COUPLED, Frame.TOOL, 3, {"gripper": True}, Grip.OBJECT, "left")
     command = GiveCommand(id="1", command=OperatorCommand({"left.x": 0.1}, *settings))
     assert REQUESTS.validate_json(command.model_dump_json()) == command
@@ -118,11 +118,11 @@ def test_a_command_crosses_the_pipe_as_it_is_and_one_of_another_form_is_refused_
             REQUESTS.validate_python({"type": "command", "command": wrong})
 
 
-def test_without_a_wish_nothing_is_asked_for(bench):
+def test_without_a_command_no_motion_is_requested(bench):
     assert bench.cycles(30)[2:] == [None] * 28
 
 
-def test_a_wish_moves_that_joint_and_ends_when_it_is_not_renewed(bench):
+def test_a_command_moves_its_joint_until_it_is_not_renewed(bench):
     bench.cycles(2)
     bench.wishes(joints=JOG)
     moved = bench.cycles(20)
@@ -134,7 +134,7 @@ def test_a_wish_moves_that_joint_and_ends_when_it_is_not_renewed(bench):
     assert (bench.q == stands).all()
 
 
-def test_how_much_of_a_wish_goes_through_is_told_while_a_limit_binds_and_then_no_longer(bench):
+def test_the_executed_share_is_reported_while_a_limit_binds(bench):
     def goes_through():
         return bench.pilot.report(DriverStage.LEASED).goes_through
 
@@ -162,7 +162,7 @@ def test_how_much_of_a_wish_goes_through_is_told_while_a_limit_binds_and_then_no
         {"hand": "left", "twist": (1, 0, 0, 0, 0, 0)},
     ],
 )
-def test_a_wish_that_the_mode_does_not_follow_is_refused_and_ends_the_one_before(bench, wish):
+def test_an_unsuitable_command_is_refused_and_ends_the_previous_one(bench, wish):
     bench.cycles(2)
     bench.wishes(joints=JOG)
     bench.cycles(5)
@@ -171,7 +171,7 @@ def test_a_wish_that_the_mode_does_not_follow_is_refused_and_ends_the_one_before
     assert bench.cycles(30)[-1] is None
 
 
-def test_a_held_robot_does_not_go_on_after_the_reset(bench):
+def test_a_held_robot_does_not_resume_after_the_reset(bench):
     bench.cycles(2)
     bench.wishes(joints=JOG)
     bench.cycles(3)
@@ -193,12 +193,12 @@ def test_a_hand_is_moved_in_a_mode_that_drives_hands(bench):
     assert bench.pilot.report(DriverStage.LEASED).mode is DrivingMode.DECOUPLED
 
 
-def test_without_a_camera_there_is_no_following(bench):
+def test_mode_follow_needs_a_camera(bench):
     with pytest.raises(ControllerError, match="no camera"):
         bench.pilot.prepare(DrivingMode.FOLLOW)
 
 
-def test_a_mode_that_could_not_be_prepared_is_refused_with_why_until_it_can_be():
+def test_an_unprepared_mode_is_refused_with_the_reason_until_it_is_ready():
     compiled = []
 
     def make():
@@ -243,7 +243,7 @@ def test_between_a_mode_and_the_follower_the_robot_is_at_rest():
     assert bench.pilot.report(DriverStage.LEASED).frame == "tool"
 
 
-def test_a_view_that_was_wished_for_before_is_what_the_camera_follows_with():
+def test_the_follower_starts_with_the_formerly_requested_view():
     bench = Bench(follower)
     bench.pilot.take_view(ViewWish(distance_m=1.7))
     bench.pilot.prepare(DrivingMode.FOLLOW)
@@ -284,7 +284,7 @@ def test_a_step_turns_a_joint_by_one_degree_and_moves_a_hand_by_five_millimetres
     assert moved == pytest.approx([0, 0, share * 0.005], abs=1e-5)
 
 
-def test_a_step_ends_with_the_next_wish(bench):
+def test_a_step_ends_with_the_next_command(bench):
     bench.pilot.take(OperatorCommand({"a6": 0.2}), bench.now_s, 1000)
     bench.cycles(50)
     bench.wishes()
@@ -311,7 +311,7 @@ def in_mode_pose(bench):
     bench.cycles(2)
 
 
-def test_in_mode_pose_nothing_moves_before_a_pose_was_planned(bench):
+def test_in_mode_pose_nothing_moves_before_a_path_was_planned(bench):
     in_mode_pose(bench)
     for wish in ({"option": 1}, {"joints": JOG}, {"option": 2}):
         with pytest.raises(ControllerError, match="planned"):
@@ -319,7 +319,7 @@ def test_in_mode_pose_nothing_moves_before_a_pose_was_planned(bench):
     assert bench.cycles(30) == [None] * 30
 
 
-def test_a_way_is_offered_in_its_mode_only_and_at_rest_only(bench, planned):
+def test_a_path_is_offered_only_in_its_mode_and_at_rest(bench, planned):
     with pytest.raises(ControllerError, match="mode pose"):
         bench.pilot.take_reach(planned)
     in_mode_pose(bench)
@@ -330,7 +330,7 @@ def test_a_way_is_offered_in_its_mode_only_and_at_rest_only(bench, planned):
         bench.pilot.take_reach(planned)
 
 
-def test_a_held_wish_brings_the_hand_to_the_pose_and_letting_go_rests_on_the_way(bench, planned):
+def test_a_held_command_brings_the_hand_to_the_pose_and_a_release_stops_it_on_the_path(bench, planned):
     in_mode_pose(bench)
     bench.pilot.take_reach(planned)
     bench.goes(40)
@@ -347,7 +347,7 @@ def test_a_held_wish_brings_the_hand_to_the_pose_and_letting_go_rests_on_the_way
     assert bench.pilot.report(DriverStage.LEASED).search.arrived
 
 
-def test_a_configuration_is_gone_to_as_a_pose_is(bench):
+def test_a_configuration_is_reached_like_a_pose(bench):
     in_mode_pose(bench)
     target = tuple(bench.robot.home + np.array([0.0, 0.0, 0.0, 0.2, 0.0, 0.3]))
     bench.pilot.take_reach(bench.pilot.plan(ReachJoints(id="1", q=target), bench.robot.home, {}))
@@ -360,13 +360,13 @@ def test_a_configuration_is_gone_to_as_a_pose_is(bench):
 @pytest.mark.parametrize(
     ("q", "words"), [((0.0,) * 5, "q: fr has 6 joints, got 5"), ((9.0,) + (0.0,) * 5, "a1 at 9 .* bounds")]
 )
-def test_a_configuration_that_the_robot_does_not_have_is_refused_with_its_bound(bench, q, words):
+def test_an_impossible_configuration_is_refused_with_its_bound(bench, q, words):
     in_mode_pose(bench)
     with pytest.raises(ControllerError, match=words):
         bench.pilot.plan(ReachJoints(id="1", q=q), bench.robot.home, {})
 
 
-def test_a_way_is_forgotten_with_its_mode(bench, planned):
+def test_a_path_is_dropped_with_its_mode(bench, planned):
     in_mode_pose(bench)
     bench.pilot.take_reach(planned)
     assert bench.pilot.ways().ways == (planned.way,)
@@ -382,7 +382,7 @@ def test_a_way_is_forgotten_with_its_mode(bench, planned):
     assert bench.q[5] > stands[5]
 
 
-def test_the_advisor_is_asked_in_its_mode_only(bench):
+def test_the_advisor_answers_only_in_its_mode(bench):
     with pytest.raises(ControllerError, match="mode advisor"):
         bench.pilot.advise(again=True)
 
@@ -396,7 +396,7 @@ def test_the_advisor_is_asked_in_its_mode_only(bench):
         (("travel", "travel"), "trade_off: two different criteria, got 'travel' twice"),
     ],
 )
-def test_a_trade_off_that_is_none_is_refused_and_nothing_is_looked_for(names, told):
+def test_an_invalid_trade_off_is_refused_without_a_search(names, told):
     bench = Bench(teleoperator=advised(CellModel.load("lab").robots["gr"]))
     bench.changes(DrivingMode.ADVISOR)
     bench.cycles(20)
@@ -408,7 +408,7 @@ def test_a_trade_off_that_is_none_is_refused_and_nothing_is_looked_for(names, to
 
 
 @pytest.mark.long
-def test_an_arm_without_a_joint_to_spare_is_advised_on_as_long_as_its_hand_may_leave_its_pose():
+def test_a_non_redundant_arm_gets_options_if_its_hand_may_leave_its_pose():
     bench = Bench(teleoperator=advised(CellModel.load("lab").robots["fr"], hands_may_leave=True))
     bench.changes(DrivingMode.ADVISOR)
     bench.cycles(5)
@@ -421,7 +421,7 @@ def test_an_arm_without_a_joint_to_spare_is_advised_on_as_long_as_its_hand_may_l
 
 
 @pytest.mark.long
-def test_options_are_offered_driven_to_cancelled_and_asked_for_again():
+def test_options_are_offered_reached_cancelled_and_requested_again():
     gr = CellModel.load("lab").robots["gr"]
     bench = Bench(teleoperator=advised(gr))
     bench.changes(DrivingMode.ADVISOR)

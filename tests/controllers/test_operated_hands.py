@@ -68,14 +68,14 @@ def test_a_robot_with_one_hand_holds_no_object_and_stays_in_its_mode():
         ({"led": "left"}, "no master was chosen"),
     ],
 )
-def test_a_wish_for_one_hand_or_for_none_moves_nothing(wish, told):
+def test_a_command_for_a_single_hand_moves_nothing_during_a_grasp(wish, told):
     bench = holding()
     with pytest.raises(ControllerError, match=told):
         bench.wishes(**wish)
     assert bench.cycles(20) == [None] * 20
 
 
-def test_an_object_is_taken_at_rest_moved_as_one_and_let_go():
+def test_an_object_is_taken_at_rest_moved_as_one_body_and_released():
     bench = two_hands()
     apart = between(bench)
     wishes_on(bench, 10, twist=(0.05, 0.0, 0.0, 0.0, 0.0, 0.0))
@@ -93,7 +93,7 @@ def test_an_object_is_taken_at_rest_moved_as_one_and_let_go():
 
 
 @pytest.mark.parametrize("between_them", ["held", "begin"])
-def test_hands_that_were_moved_by_others_are_not_drawn_together_again(between_them):
+def test_hands_moved_by_another_client_are_not_pulled_together(between_them):
     bench = holding()
     getattr(bench.pilot, between_them)()
     bench.q = bench.q + np.where([name == "left_1" for name in bench.robot.joint_names], 0.2, 0.0)
@@ -142,7 +142,7 @@ HELD = {"led": ""}
 
 
 @pytest.mark.long
-def test_the_hand_follows_while_the_wish_lasts_and_rests_when_it_ends():
+def test_the_hand_follows_during_a_command_and_stops_at_its_end():
     led = Led()
     led.bench.pilot.wishes.choose_master("fr", 0.5)
     began = led.hand()
@@ -185,19 +185,19 @@ def plan(name, move_m, cell=LAB, hand=""):
 
 
 @pytest.mark.parametrize("name", ["fr", "gr"])
-def test_a_pose_out_of_reach_is_told(name):
+def test_a_pose_out_of_reach_is_reported(name):
     with pytest.raises(ControllerError, match="out of reach"):
         plan(name, (9.0, 0.0, 0.0))
 
 
-def test_a_hand_that_is_not_there_and_a_turn_that_is_none_are_told():
+def test_an_unknown_hand_and_an_invalid_rotation_are_reported():
     with pytest.raises(ControllerError, match="has no hand 'left'; it has tool"):
         ReachPlanner(LAB, "fr").plan(HOMES["fr"], {}, "left", (1.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0))
     with pytest.raises(ControllerError, match="not a rotation"):
         ReachPlanner(LAB, "fr").plan(HOMES["fr"], {}, "", (1.0, 0.0, 1.0), (0.0, 0.0, 0.0, 0.0))
 
 
-def test_a_way_into_a_body_is_clear_only_up_to_it():
+def test_a_path_into_a_body_is_clear_only_up_to_the_body():
     tank = next(body for body in LAB.structure if "tank" in body.name)
     gr = LAB.robots["gr"]
     way = plan("gr", tank.placement.translation - gr.forward(gr.home)[:3, 3]).way
@@ -215,7 +215,7 @@ def test_a_way_into_a_body_is_clear_only_up_to_it():
 @pytest.mark.parametrize(
     ("name", "move_m"), [("fr", (0.1, -0.2, 0.1)), ("gr", (0.2, 0.0, 0.1)), ("gr", (0.0, -1.2, 0.0))]
 )
-def test_the_way_ends_with_the_hand_at_the_pose(name, move_m):
+def test_the_path_ends_with_the_hand_at_the_pose(name, move_m):
     robot = LAB.robots[name]
     way = plan(name, move_m).way
     expected = robot.forward(robot.home)
@@ -227,7 +227,7 @@ def test_the_way_ends_with_the_hand_at_the_pose(name, move_m):
     assert np.abs(way.first).max() > 0.0
 
 
-def test_one_hand_of_two_is_brought_there_and_the_other_stays():
+def test_one_of_two_hands_reaches_the_pose_and_the_other_stays():
     robot = DAWM.robots["dawm"]
     moved, kept = robot.hands[:2]
     way = plan("dawm", (0.0, 0.0, 0.05), DAWM, moved).way

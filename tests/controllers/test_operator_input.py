@@ -62,19 +62,19 @@ def script(folder: Path, text: str, mode: DrivingMode = DrivingMode.JOINT) -> Sc
         ),
     ],
 )
-def test_a_bad_script_is_refused_with_its_line_and_what_is_allowed(
+def test_a_bad_script_is_refused_with_its_line_and_the_allowed_values(
     tmp_path: Path, text: str, told: str
 ) -> None:
     with pytest.raises(ControllerError, match=told):
         script(tmp_path, text)
 
 
-def test_a_script_that_is_not_there_is_named(tmp_path: Path) -> None:
+def test_a_missing_script_is_named(tmp_path: Path) -> None:
     with pytest.raises(ControllerError, match=r"missing.yaml: cannot be read: No such file"):
         Script.load(tmp_path / "missing.yaml", teleoperator())
 
 
-def test_a_script_gives_its_steps_in_si_units_one_after_the_other_from_its_first_reading_on(
+def test_a_script_runs_its_steps_in_order_and_si_units_from_the_first_reading_on(
     tmp_path: Path,
 ) -> None:
     steps = script(
@@ -93,7 +93,7 @@ def test_a_script_gives_its_steps_in_si_units_one_after_the_other_from_its_first
     assert steps.read(103.5) is None
 
 
-def test_a_step_switches_outputs_and_the_next_leaves_them_as_they_are(tmp_path: Path) -> None:
+def test_a_step_switches_outputs_and_the_next_keeps_them(tmp_path: Path) -> None:
     steps = script(
         tmp_path,
         "- {duration_s: 1, move: {a1_rad_s: 0.1}, outputs: {gripper: on, tool_changer: off}}\n- {duration_s: 1}",
@@ -102,7 +102,7 @@ def test_a_step_switches_outputs_and_the_next_leaves_them_as_they_are(tmp_path: 
     assert steps.read(1.0) == OperatorCommand()
 
 
-def test_a_robot_without_outputs_says_so() -> None:
+def test_a_robot_without_outputs_refuses_to_switch_one() -> None:
     operator = teleoperator("fr")
     with pytest.raises(ControllerError, match="output 'gripper' is unknown; robot fr has no outputs"):
         operator.check(OperatorCommand(outputs={"gripper": True}), DrivingMode.JOINT)
@@ -113,7 +113,7 @@ def test_a_robot_without_outputs_says_so() -> None:
     terminal.close()
 
 
-def test_a_step_to_an_option_is_over_as_soon_as_the_robot_is_there_or_in_its_time() -> None:
+def test_a_step_to_an_option_ends_on_arrival_or_after_its_duration() -> None:
     there: list[int | None] = [None]
     steps = Script(
         [(60.0, OperatorCommand(option=2)), (5.0, OperatorCommand(option=3)), (1.0, OperatorCommand())],
@@ -129,7 +129,7 @@ def test_a_step_to_an_option_is_over_as_soon_as_the_robot_is_there_or_in_its_tim
     assert steps.read(37.0) is None
 
 
-def test_the_time_of_a_step_to_an_option_begins_when_the_advisor_has_answered() -> None:
+def test_the_duration_of_a_step_to_an_option_begins_with_the_answer_of_the_advisor() -> None:
     awaits = [True]
     steps = Script(
         [(5.0, OperatorCommand(option=1)), (1.0, OperatorCommand())], awaits_advice=lambda: awaits[-1]
@@ -162,7 +162,7 @@ class Terminal:
 SLOW = pytest.approx(0.1 * TAP_SHARE)
 
 
-def test_a_tapped_key_moves_slowly_for_a_while_and_hands_off_is_rest() -> None:
+def test_a_tapped_key_moves_slowly_for_a_while_and_no_key_means_rest() -> None:
     terminal = Terminal(teleoperator(mode=DrivingMode.COUPLED))
     with terminal.keyboard:
         assert terminal.press("w", 10.0) == OperatorCommand({"x": SLOW})
@@ -174,7 +174,7 @@ def test_a_tapped_key_moves_slowly_for_a_while_and_hands_off_is_rest() -> None:
     terminal.close()
 
 
-def test_arrows_choose_and_drive_a_joint_even_when_their_sequence_is_torn() -> None:
+def test_arrow_keys_choose_and_drive_a_joint_even_with_split_escape_sequences() -> None:
     terminal = Terminal(teleoperator())
     with terminal.keyboard:
         assert terminal.press("\x1b[C\x1b[A", 1.0) == OperatorCommand({"e2": SLOW})
@@ -187,7 +187,7 @@ def test_arrows_choose_and_drive_a_joint_even_when_their_sequence_is_torn() -> N
     terminal.close()
 
 
-def test_keys_go_round_the_modes_that_the_robot_has_and_its_hands() -> None:
+def test_keys_cycle_through_the_modes_and_hands_of_the_robot() -> None:
     operator = teleoperator("fr", DrivingMode.DECOUPLED)
     terminal = Terminal(operator)
     with terminal.keyboard:
@@ -205,7 +205,7 @@ def test_keys_go_round_the_modes_that_the_robot_has_and_its_hands() -> None:
     terminal.close()
 
 
-def test_a_key_switches_the_chosen_output_on_another_one_off_and_the_hand_stops_meanwhile() -> None:
+def test_keys_switch_the_chosen_output_and_stop_the_hand() -> None:
     terminal = Terminal(teleoperator(mode=DrivingMode.COUPLED))
     with terminal.keyboard:
         assert terminal.press("w", 1.0) == OperatorCommand({"x": SLOW})
@@ -218,7 +218,7 @@ def test_a_key_switches_the_chosen_output_on_another_one_off_and_the_hand_stops_
     terminal.close()
 
 
-def test_a_digit_goes_to_an_option_of_the_advisor_until_any_other_key_is_pressed() -> None:
+def test_a_digit_drives_to_an_option_until_another_key_is_pressed() -> None:
     terminal = Terminal(advised(model("gr")))
     with terminal.keyboard:
         assert terminal.press("2", 1.0) == OperatorCommand(option=2)
@@ -233,7 +233,7 @@ def test_a_digit_goes_to_an_option_of_the_advisor_until_any_other_key_is_pressed
     terminal.close()
 
 
-def test_a_keyboard_without_a_terminal_says_what_to_use() -> None:
+def test_a_keyboard_without_a_terminal_is_refused_with_alternatives() -> None:
     read, write = os.pipe()
     with pytest.raises(ControllerError, match="needs a terminal; from a pipe use a script"):
         Keyboard(teleoperator(), read).__enter__()
@@ -295,7 +295,7 @@ def test_a_tap_moves_by_as_much_as_full_speed_in_a_tenth_of_a_second() -> None:
 
 
 @pytest.mark.parametrize("setting", REPEATS)
-def test_a_held_key_moves_without_a_pause_and_stops_soon_after_it_is_let_go(setting: str) -> None:
+def test_a_held_key_moves_without_a_pause_and_stops_soon_after_its_release(setting: str) -> None:
     presses = repeated(*REPEATS[setting], held_s=2.0)
     places = driven(presses, 3.0)
     speed = speeds(places)

@@ -15,7 +15,7 @@ from deltaq_controllers.leader.scripted import ScriptedLeader
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["paper", "predictive", "qp"])
-def test_it_turns_round_to_the_leader_and_then_follows_it(name: str) -> None:
+def test_another_arm_turns_to_the_leader_and_follows_it(name: str) -> None:
     cell = seven_axes.cell()
     arm, leader_model = cell.robots["fr"], cell.robots["gr"]
     controller = camera_controller_named(name, Scene(cell, "fr", "gr"), 1.25)

@@ -29,7 +29,7 @@ def fixed(point: Array) -> ViewTarget:
     return ViewTarget(focus_m=focus_m)
 
 
-def test_a_finger_hides_what_is_between_the_fingers_and_a_board_what_is_before_them() -> None:
+def test_a_finger_hides_the_space_between_the_fingers_and_a_board_the_space_before_them() -> None:
     assert hidden_by(ViewTarget(leader="gr", aim_offset_m=(0.0, 0.0, 0.0))) == ("gr/tool_finger_1",)
     assert hidden_by(ViewTarget(leader="gr")) == ()
     lens = lab().robots["fr"].camera_pose(lab().robots["fr"].home)[:3, 3]
@@ -60,7 +60,7 @@ def test_a_camera_with_one_eye_has_one_line_of_sight() -> None:
     assert hidden_by(fixed(at(0.0, 0.0, 1.0)), cell) == ("structure/post",)
 
 
-def test_a_body_does_not_hide_a_point_in_it_but_what_is_before_it_does() -> None:
+def test_only_bodies_before_a_point_hide_it_and_not_a_body_around_it() -> None:
     tank = with_wall("tank", (0.2,) * 3, at(0.0, 0.0, 0.6))
     assert hidden_by(fixed(at(0.0, 0.0, 0.6)), tank) == ()
     assert hidden_by(fixed(at(0.0, 0.0, 0.9)), tank) == ("structure/tank",)
@@ -73,7 +73,7 @@ def test_the_cameras_own_housing_hides_nothing_since_it_turns_with_the_camera() 
     assert not set(hidden_by(behind)) & {"fr/tool_camera", "fr/tool_mount", "fr/link_6"}
 
 
-def test_a_robot_that_is_not_in_the_view_is_where_it_was() -> None:
+def test_a_robot_missing_in_the_view_stays_at_its_last_place() -> None:
     outlook, view = Outlook(lab(), "fr"), at_home(lab())
     between = fixed(lab().robots["gr"].forward(lab().robots["gr"].home)[:3, 3])
     assert outlook.hidden_by(View(view.own), between) == ("gr/tool_finger_1",)

@@ -74,7 +74,7 @@ def test_an_unknown_mode_or_robot_is_named() -> None:
     assert "--seeds" in refused.output
 
 
-def test_a_seed_places_hole_and_valve_within_what_is_said() -> None:
+def test_a_seed_places_hole_and_valve_within_the_documented_ranges() -> None:
     home = np.eye(4)
     usual = goals(home, _Middle())
     for seed in range(50):
@@ -102,7 +102,7 @@ class _Middle(np.random.Generator):
         return np.full(size, 0.5 * (low + high)) if size else 0.5 * (low + high)
 
 
-def test_a_steady_hand_gives_what_is_meant() -> None:
+def test_an_error_free_hand_gives_the_intended_command() -> None:
     hand = OperatorHand(STEADY, CYCLE_S, np.random.default_rng(0))
     for meant in (OperatorCommand({"x": 0.1}), OperatorCommand(option=2), OperatorCommand({})):
         for _ in range(200):
@@ -111,7 +111,7 @@ def test_a_steady_hand_gives_what_is_meant() -> None:
 
 
 @pytest.mark.long
-def test_noise_grows_with_the_command_and_is_there_in_every_axis_of_the_stick() -> None:
+def test_noise_grows_with_the_command_and_affects_every_axis_of_the_stick() -> None:
     hand = OperatorHand(Person(slip=0.0), CYCLE_S, np.random.default_rng(1))
     for size in (0.01, 0.1):
         meant = OperatorCommand({"x": size, "y": 0.0, "z": 0.0, "rx": 0.0})
@@ -137,7 +137,7 @@ def test_one_action_in_fifty_goes_wrong_and_is_noticed_one_reaction_later() -> N
     assert sum(wrong) * CYCLE_S == pytest.approx(slips * REACTION_S, rel=0.1)
 
 
-def test_each_slip_is_what_it_is_called() -> None:
+def test_each_slip_has_the_effect_of_its_name() -> None:
     always = Person(noise=0.0, slip=1.0)
     seen = set()
     for seed in range(40):

@@ -95,7 +95,7 @@ def test_the_leader_is_kept_in_view(speed_m_s: float, angle_deg: float, distance
     assert settled[:, 1].max() <= distance_m
 
 
-def test_from_exactly_behind_it_gets_round_within_limits() -> None:
+def test_from_exactly_behind_the_camera_turns_round_within_limits() -> None:
     T = lab().robots["fr"].camera_pose(lab().robots["fr"].home)
     behind = T[:3, 3] - 1.25 * T[:3, 2]
     controller = follower(focus=behind)
@@ -105,7 +105,7 @@ def test_from_exactly_behind_it_gets_round_within_limits() -> None:
     assert seen[-1, 0] < 0.1
 
 
-def test_a_joint_that_comes_to_its_limit_on_the_way_stops_alone() -> None:
+def test_a_joint_that_reaches_its_limit_stops_without_the_others() -> None:
     # A3 ends at its limit while A1 is fast and takes long to brake: the rest of the arm has to go on
     start = np.deg2rad([-121.7, -52.6, -82.3, 280.8, 72.4, 58.4])
     seen, violations = look_at(follower(), start, 1.0)
@@ -130,7 +130,7 @@ def test_a_camera_off_the_last_axis_ends_level_and_aimed(offset_m: tuple[float, 
 
 
 @pytest.mark.long
-def test_it_keeps_its_distance_from_a_leader_that_comes_at_the_lens() -> None:
+def test_it_keeps_its_distance_from_a_leader_that_approaches_the_lens() -> None:
     cell = lab()
     q, dq_last = np.array(cell.robots["fr"].home), np.zeros(6)
     controller = follower(focus=cell.robots["gr"].forward(cell.robots["gr"].home)[:3, 3])
@@ -154,7 +154,7 @@ def test_it_keeps_its_distance_from_a_leader_that_comes_at_the_lens() -> None:
 
 
 @pytest.mark.long
-def test_an_attacker_that_goes_on_does_not_drive_it_into_a_corner() -> None:
+def test_a_persistent_attacker_does_not_corner_the_camera() -> None:
     # two attacks: who only backs away has A1 at its limit and the arm stretched out in both of them
     angle_deg, _, clearance_m = attack(13.5, seed=4).T
     assert angle_deg[round(1.0 / CYCLE_S) :].max() < 1.0
@@ -179,7 +179,7 @@ class BarriersSeen(QpFollower):
         return self.barriers
 
 
-def test_however_far_off_its_focus_is_it_gives_up_none_of_what_the_arm_keeps_from_itself() -> None:
+def test_for_any_focus_the_arm_keeps_its_distance_from_itself() -> None:
     """Else the gate holds the whole arm for as long as the camera wants to turn."""
     cell, random, close = lab(), np.random.default_rng(0), 0
     robot, home = cell.robots["fr"], cell.robots["gr"].home
@@ -222,7 +222,7 @@ def test_free_joints_do_not_drift_into_a_limit() -> None:
     assert np.abs(seen[round(10.0 / CYCLE_S) :, 1]).max() < 0.01
 
 
-def test_with_no_robot_near_room_to_turn_round_does_not_matter() -> None:
+def test_without_near_robots_the_joint_margin_has_no_effect() -> None:
     q, q_leader = np.array(lab().robots["fr"].home), lab().robots["gr"].home
     q[0] = lab().robots["fr"].lower[0] + 0.1
     view = View(RobotView(0, 0.0, q, q), {"gr": RobotView(0, 0.0, q_leader, q_leader)})
@@ -255,6 +255,6 @@ def test_every_name_makes_a_controller(name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "said"), [("best", "there are paper"), ("no.such:thing", "cannot be imported")]
 )
-def test_a_name_that_is_none_is_refused(name: str, said: str) -> None:
+def test_an_unknown_name_is_refused(name: str, said: str) -> None:
     with pytest.raises(ControllerError, match=said):
         camera_controller_named(name, Scene(lab(), "fr", "gr"), 1.25)

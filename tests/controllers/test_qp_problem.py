@@ -15,7 +15,7 @@ def program() -> QuadraticProgram:
     return QuadraticProgram(np.full(N, 1e-3), rest_weight=1e-5, prices=(1e6, 1e7))
 
 
-def test_a_task_within_the_bounds_is_done() -> None:
+def test_a_task_within_the_bounds_is_met_exactly() -> None:
     row, wide = np.eye(N)[:1], np.full(N, 0.01)
     solution = program().solve(Tasks(row, np.array([2e-3]), np.ones(1)), -wide, wide, NONE)
     assert solution is not None
@@ -36,7 +36,7 @@ def test_bounds_outweigh_every_task_and_every_barrier() -> None:
     assert slack == pytest.approx([0.049, 0.0], abs=1e-4)
 
 
-def test_a_barrier_that_gives_way_does_not_loosen_one_of_another_kind() -> None:
+def test_a_relaxed_barrier_does_not_relax_barriers_of_another_kind() -> None:
     barriers, wide = np.array([np.eye(N)[0], -np.eye(N)[0]]), np.full(N, 0.01)
     kinds = np.array([0, 1], dtype=np.intp)
     least = np.array([5e-3, -1e-3])
@@ -51,7 +51,7 @@ def test_a_barrier_that_gives_way_does_not_loosen_one_of_another_kind() -> None:
     assert solution[1] == pytest.approx([4e-3, 0.0], abs=1e-5)
 
 
-def test_the_heavier_task_is_done_first() -> None:
+def test_the_task_with_the_larger_weight_is_met_first() -> None:
     rows, wide = np.array([np.eye(N)[0], np.eye(N)[0]]), np.full(N, 0.01)
     wanted, weights = np.array([2e-3, -2e-3]), np.array([1.0, 1e-2])
     solution = program().solve(Tasks(rows, wanted, weights), -wide, wide, NONE)
@@ -60,7 +60,7 @@ def test_the_heavier_task_is_done_first() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_there_is_always_an_answer_within_the_bounds(seed: int) -> None:
+def test_there_is_always_a_solution_within_the_bounds(seed: int) -> None:
     random, solver = np.random.default_rng(seed), program()
     for _ in range(60):
         rows, barriers = random.normal(size=(4, N)), random.normal(size=(random.integers(0, 5), N))

@@ -42,7 +42,7 @@ def test_at_a_limit_and_past_it_weights_are_finite_and_hold_the_joint(q: np.ndar
     assert (inverse < 1e-2).all()
 
 
-def test_without_damping_the_task_is_met_exactly_and_sub_tasks_leave_it_alone(
+def test_without_damping_the_task_is_met_exactly_despite_sub_tasks(
     random: np.random.Generator,
 ) -> None:
     jacobian, task, field = random.normal(size=(2, 6)), random.normal(size=2), random.normal(size=6)
@@ -61,7 +61,7 @@ def test_a_task_that_the_joints_cannot_do_gives_finite_rates(random: np.random.G
     assert np.abs(weighted_rates(weights, MIDDLE, jacobian, np.ones(2), np.zeros(6), 1.0)).max() < 100
 
 
-def test_a_joint_at_its_limit_is_held_back_on_its_way_in_and_free_on_its_way_out() -> None:
+def test_a_joint_is_held_on_approach_to_its_limit_and_free_on_retreat() -> None:
     q = MIDDLE.copy()
     q[1] = UPPER[1] - math.radians(1.0)
     jacobian = np.array([[0.0, 1.0, 1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]])
@@ -105,7 +105,7 @@ def test_at_the_limit_an_evasion_is_free_to_leave_and_held_to_stay() -> None:
     assert (emergency_rates(weights, q, np.ones(6)) < 1e-2).all()
 
 
-def test_the_emergency_goes_on_and_off_at_different_clearances() -> None:
+def test_the_emergency_law_has_a_hysteresis_of_clearance() -> None:
     emergency = Emergency(0.08, 0.12)
     seen = [emergency.update(clearance) for clearance in (0.2, 0.1, 0.07, 0.1, 0.119, 0.121, 0.1)]
     assert seen == [False, False, True, True, True, False, False]

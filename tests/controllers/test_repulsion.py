@@ -62,7 +62,7 @@ def test_the_floor_pushes_from_the_foot_point_straight_up() -> None:
     assert field[0] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_a_link_that_only_turns_about_the_vertical_is_not_afraid_of_the_floor() -> None:
+def test_the_floor_does_not_push_a_link_that_turns_about_the_vertical() -> None:
     kinematics, spheres = Kinematics(FLOOR_ROBOT, "camera"), Spheres.of(FLOOR_ROBOT)
     kinematics.update(FLOOR_ROBOT.home)
     first_link = spheres.joints == 1
@@ -71,7 +71,7 @@ def test_a_link_that_only_turns_about_the_vertical_is_not_afraid_of_the_floor() 
     assert repulsion.approach(kinematics, *NOTHING) > 0.0
 
 
-def test_inside_one_another_bodies_are_still_pushed_apart_and_no_harder() -> None:
+def test_overlapping_bodies_are_pushed_apart_with_bounded_force() -> None:
     kinematics, spheres = Kinematics(FLOOR_ROBOT, "camera"), Spheres.of(FLOOR_ROBOT)
     repulsion = Repulsion(FLOOR_ROBOT, POTENTIAL, CAP, floor_m=None)
     kinematics.update(np.deg2rad([0.0, -90, 90, 0, 30, 0]))
@@ -84,7 +84,7 @@ def test_inside_one_another_bodies_are_still_pushed_apart_and_no_harder() -> Non
     assert push(POTENTIAL, -1.0) == push(POTENTIAL, 0.03)
 
 
-def test_out_of_range_nothing_is_pushed() -> None:
+def test_bodies_out_of_range_are_not_pushed() -> None:
     kinematics = Kinematics(FLOOR_ROBOT, "camera")
     repulsion = Repulsion(FLOOR_ROBOT, POTENTIAL, CAP, floor_m=None)
     assert repulsion.approach(kinematics, *NOTHING) == np.inf
@@ -93,7 +93,7 @@ def test_out_of_range_nothing_is_pushed() -> None:
 
 
 @pytest.mark.parametrize("_", range(20))
-def test_looking_only_at_what_is_near_changes_nothing_within_one_increment(
+def test_ignoring_distant_bodies_changes_nothing_within_one_increment(
     _: int, random: np.random.Generator
 ) -> None:
     kinematics, spheres = Kinematics(FLOOR_ROBOT, "camera"), Spheres.of(FLOOR_ROBOT)

@@ -81,14 +81,14 @@ def test_the_age_of_a_view_is_independent_of_the_hosts_clocks(offset_s: float, d
     assert other.sight is Sight.LOST
 
 
-def test_a_view_that_is_old_when_it_is_first_seen_is_told_as_old() -> None:
+def test_a_view_that_arrives_old_is_reported_as_old() -> None:
     hosts, other = Hosts(5.0, 0.0), Foreseen(lab().robots["gr"], lab().robots["fr"], CYCLE_S)
     hosts.ask(200)
     assert hosts.age_s(other, 200, 50) == pytest.approx(150 * CYCLE_S)
     assert other.sight is Sight.LOST
 
 
-def test_a_stamp_stays_where_it_is_when_the_clocks_are_read_again() -> None:
+def test_reading_the_clocks_again_does_not_change_earlier_stamps() -> None:
     hosts = Hosts(5.0, 0.0)
     hosts.ask(0)
     before = hosts.clocks.on_clock_of("fr", "gr", 7.0)
@@ -100,7 +100,7 @@ def test_a_stamp_stays_where_it_is_when_the_clocks_are_read_again() -> None:
     assert hosts.clocks.on_clock_of("fr", "gr", 7.5) == pytest.approx(before + 0.5 - 1.0)
 
 
-def test_while_one_clock_is_not_known_no_stamp_is_moved_and_no_age_told() -> None:
+def test_with_an_unknown_clock_no_stamp_is_converted_and_no_age_reported() -> None:
     clocks = RobotClocks(("fr", "gr"), CYCLE_S)
     clocks.take(0.0, told_status(fr=(1, 0.0)), 0.01, {"fr": told_state(1, 0.0)})
     assert (clocks.knows("fr"), clocks.knows("gr")) == (True, False)
@@ -123,7 +123,7 @@ Ways = list[tuple[float, float]]
     st.lists(st.tuples(WAY_S, WAY_S), min_size=1, max_size=20),
     st.floats(2.0, 200.0),
 )
-def test_a_clock_that_drifts_is_known_within_what_is_said_at_any_time(
+def test_a_drifting_clock_is_always_known_within_the_stated_error(
     offset_s: float, drift: float, ways: Ways, pause_s: float
 ) -> None:
     clock = PathClock()
@@ -135,7 +135,7 @@ def test_a_clock_that_drifts_is_known_within_what_is_said_at_any_time(
         assert abs(clock.offset_s - (offset_s + drift * now_s)) <= clock.error_s(now_s) + 1e-9
 
 
-def test_the_quickest_exchange_is_believed_until_drift_has_made_it_worse_than_a_slower_one() -> None:
+def test_the_quickest_exchange_counts_until_drift_makes_a_newer_one_more_accurate() -> None:
     clock = PathClock()
     clock.take(0.0, 5.0, 0.002)
     assert clock.error_s(0.002) == pytest.approx(0.001, abs=1e-6)
@@ -145,7 +145,7 @@ def test_the_quickest_exchange_is_believed_until_drift_has_made_it_worse_than_a_
     assert (clock.offset_s, clock.error_s(30.006)) == pytest.approx((5.005, 0.003), abs=1e-5)
 
 
-def test_a_clock_that_was_set_is_believed_the_second_time_and_a_late_stamp_never() -> None:
+def test_a_set_clock_is_accepted_at_the_second_reading_and_a_late_stamp_never() -> None:
     clock = PathClock()
     clock.take(0.0, 5.0, 0.002)
     clock.take(2.0, 6.5, 2.002)
@@ -157,31 +157,29 @@ def test_a_clock_that_was_set_is_believed_the_second_time_and_a_late_stamp_never
     assert clock.offset_s == pytest.approx(99.999)
 
 
-def test_a_clock_that_was_set_in_between_is_refused_with_both_times() -> None:
+def test_a_clock_set_during_a_reading_is_refused_with_both_times() -> None:
     with pytest.raises(ValueError, match=r"answered_s: 1\.0 is before the request, 2\.0"):
         PathClock().take(2.0, 5.0, 1.0)
 
 
-def test_the_clock_of_a_robots_server_is_read_off_a_status_by_whole_cycles() -> None:
+def test_a_status_gives_the_clock_of_a_robot_server_in_whole_cycles() -> None:
     status = told_status(fr=(110, 0.004))
     assert robot_clock_s(status, told_state(cycle=100, time_s=50.0), 0.012) == pytest.approx(
         50.0 + 10 * 0.012 + 0.004
     )
 
 
-def test_of_a_robot_that_the_hli_does_not_know_no_clock_is_read() -> None:
+def test_a_robot_unknown_to_the_hli_has_no_clock() -> None:
     assert robot_clock_s(told_status(fr=(0, None)), told_state(cycle=1, time_s=5.0), 0.012) is None
     other = told_state(cycle=1, time_s=5.0, robot="gr")
     assert robot_clock_s(told_status(fr=(1, 0.0)), other, 0.012) is None
 
 
-def test_of_a_robot_server_that_has_begun_to_count_again_no_clock_is_read_by_the_cycles_of_the_one_before() -> (
-    None
-):
+def test_a_restarted_robot_server_is_not_read_by_the_cycles_of_its_predecessor() -> None:
     assert robot_clock_s(told_status(fr=(3, 0.0)), told_state(cycle=100, time_s=50.0), 0.012) is None
 
 
-def test_sightings_tell_when_a_view_was_stale_lost_and_seen_again_and_forget_the_oldest() -> None:
+def test_sightings_record_stale_lost_and_fresh_views_and_drop_the_oldest() -> None:
     sightings = Sightings()
     order = [Sight.FRESH, Sight.FRESH, Sight.STALE, Sight.LOST, Sight.LOST, Sight.FRESH]
     changed = [sightings.add(sight, 0.1 * k, float(k)) for k, sight in enumerate(order)]
@@ -195,7 +193,7 @@ def test_sightings_tell_when_a_view_was_stale_lost_and_seen_again_and_forget_the
     assert (len(changes), changes[0]["time_s"]) == (MOST_CHANGES, 10.0)
 
 
-def test_a_follower_that_never_sees_the_leader_well_says_so_from_the_first_cycle() -> None:
+def test_a_permanently_stale_view_is_reported_from_the_first_cycle() -> None:
     assert Sightings().add(Sight.LOST, 0.0, 0.0)
 
 
@@ -228,7 +226,7 @@ def reading_of(cell: Any) -> ClockReading:
     return ClockReading(cell)
 
 
-async def test_an_answer_that_comes_too_late_costs_one_reading_of_the_clocks() -> None:
+async def test_a_late_answer_costs_one_reading_of_the_clocks() -> None:
     cell = BusyCell(unanswered=4, heard=("fr", "gr"))
     reading = reading_of(cell)
     await reading.read_first()
@@ -236,12 +234,12 @@ async def test_an_answer_that_comes_too_late_costs_one_reading_of_the_clocks() -
     assert reading.clocks.on_clock_of("fr", "gr", 50.0) == pytest.approx(50.0)
 
 
-async def test_an_hli_that_answers_nothing_is_gone() -> None:
+async def test_a_silent_hli_counts_as_lost() -> None:
     with pytest.raises(ServiceUnreachableError):
         await reading_of(BusyCell(unanswered=5)).read_first()
 
 
-async def test_a_cycle_waits_for_no_answer_and_asks_nothing_more_before_it_has_come() -> None:
+async def test_a_cycle_neither_waits_for_an_answer_nor_asks_again_before_it() -> None:
     cell = BusyCell(unanswered=0, heard=("fr",))
     cell.answers.clear()
     reading = reading_of(cell)
@@ -254,7 +252,7 @@ async def test_a_cycle_waits_for_no_answer_and_asks_nothing_more_before_it_has_c
         await asyncio.sleep(0)
 
 
-async def test_clocks_are_read_again_after_a_while_and_an_answer_that_is_missing_ends_nothing(
+async def test_clocks_are_read_periodically_and_a_missing_answer_is_harmless(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     now = SimpleNamespace(s=100.0)

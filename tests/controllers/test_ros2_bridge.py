@@ -131,7 +131,7 @@ def test_joint_states_reach_a_ros_program_and_the_bridge_is_in_the_graph(
 
 
 @pytest.mark.long
-def test_a_trajectory_moves_the_robot_only_where_it_was_asked_for(server: Server, peer: RosPeer) -> None:
+def test_a_trajectory_moves_only_robots_with_accept_trajectories(server: Server, peer: RosPeer) -> None:
     heard = peer.subscribe(STATES)
     command = (COMMANDS, JOINTS, (0.3, [0.15] * 6))
     with bridged(server.description.hli, RosSide(peer.endpoint, DOMAIN, accepts=("gr",))):
@@ -196,7 +196,7 @@ def test_a_trajectory_does_not_wait_for_a_robot_that_has_no_states(server: Serve
         assert running.until("ended").endswith("gr: the trajectory has ended: no state of gr for 1 s")
 
 
-def test_a_router_that_ends_is_found_again(server: Server) -> None:
+def test_a_restarted_router_is_found_again(server: Server) -> None:
     listening = endpoint()
     first = RosPeer(listening, DOMAIN)
     try:
@@ -211,7 +211,7 @@ def test_a_router_that_ends_is_found_again(server: Server) -> None:
 
 
 @pytest.mark.nightly
-def test_whoever_is_not_there_at_the_beginning_is_named(server: Server) -> None:
+def test_missing_peers_are_named_at_the_start(server: Server) -> None:
     nowhere, hli = endpoint(), server.description.hli
     with pytest.raises(ServiceUnreachableError, match=f"no zenoh router answers at {nowhere}"):
         asyncio.run(Bridge(hli, RosSide(nowhere)).run())
@@ -261,7 +261,7 @@ def test_the_command_ends_with_its_counts_in_json(server: Server, peer: RosPeer)
 
 
 @pytest.mark.long
-def test_the_command_says_in_one_line_what_is_wrong(server: Server) -> None:
+def test_wrong_use_of_the_command_gives_one_line(server: Server) -> None:
     wrong = {
         ("--domain-id", "233"): "less than or equal to 232",
         ("--namespace", "a b"): "no ROS namespace: 'a b'",

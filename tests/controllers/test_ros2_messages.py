@@ -60,22 +60,22 @@ def test_a_joint_state_is_byte_for_byte_that_of_another_library(stamp, frame_id,
 
 @pytest.mark.long
 @given(times, texts, names, points)
-def test_a_trajectory_is_read_as_another_library_has_written_it(stamp, frame_id, names, points):
+def test_a_trajectory_written_by_another_library_is_read(stamp, frame_id, names, points):
     theirs = ros_types.joint_trajectory(names, points, stamp, frame_id)
     assert JointTrajectory.decode(theirs) == trajectory(names, points, stamp, frame_id)
 
 
-def test_a_trajectory_is_what_the_rules_say_when_written_down_by_hand():
+def test_a_hand_written_trajectory_agrees_with_the_cdr_rules():
     assert JointTrajectory.decode(BY_HAND) == trajectory((), [((1.5,), (), (), (), (1, 0))], (2, 5))
     assert ros_types.joint_trajectory((), [((1.5,), (), (), (), (1, 0))], (2, 5)) == BY_HAND
 
 
 @pytest.mark.parametrize("kind", [JointState, JointTrajectory])
-def test_the_hash_of_a_type_is_what_another_library_computes(kind):
+def test_type_hashes_agree_with_another_library(kind):
     assert ros_types.STORE.hash_rihs01(kind.TYPE.name) == kind.TYPE.hash
 
 
-def test_the_hashes_are_those_that_a_running_ros_has_printed():
+def test_type_hashes_agree_with_those_printed_by_ros():
     # `ros2 topic info --verbose` of a running ROS 2, beside a joint_state_broadcaster and a joint_trajectory_controller
     state = "RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e"
     command = "RIHS01_179b33eba59d676f6d967ac71fe35e7ca2f64b2f3928f4a018cec115e213796e"
@@ -92,14 +92,14 @@ def refusal(message):
 
 
 @given(st.binary(max_size=200))
-def test_any_bytes_are_a_message_or_are_refused(body):
+def test_arbitrary_bytes_are_decoded_or_refused(body):
     for start in (b"", b"\x00\x01\x00\x00"):
         assert "\n" not in refusal(start + body)
 
 
 @pytest.mark.long
 @given(points, st.data())
-def test_a_message_that_is_cut_off_or_changed_is_a_message_or_is_refused(points, data):
+def test_truncated_and_altered_messages_are_decoded_or_refused(points, data):
     whole = bytearray(ros_types.joint_trajectory(("a1", "a2"), points))
     cut = whole[: data.draw(st.integers(0, len(whole) - 1))]
     with pytest.raises(RefusedMessageError):
@@ -140,7 +140,7 @@ def test_hostile_input_is_refused_with_field_value_and_bound(message, text):
     assert str(refused.value).startswith(text)
 
 
-def test_a_name_that_is_no_text_is_refused():
+def test_a_name_other_than_text_is_refused():
     message = ros_types.joint_trajectory(("ab",), ()).replace(b"ab\0", b"\xff\xfe\0")
     with pytest.raises(RefusedMessageError, match=r"joint_names\[0\] is not in UTF-8"):
         JointTrajectory.decode(message)
@@ -160,12 +160,12 @@ LISTENER = RosNode(2, "aac3178e146ba6f1fc6e6a4085e77f21", "/", "listener")
 TYPE = f"std_msgs::msg::dds_::String_/{STRING.hash}"
 
 
-def test_the_key_of_a_topic_is_that_of_the_design_document():
+def test_the_key_of_a_topic_agrees_with_the_design_document():
     assert topic_key(0, "/chatter", STRING) == f"0/chatter/{TYPE}"
     assert topic_key(0, "/robot1/chatter", STRING) == f"0/robot1/chatter/{TYPE}"
 
 
-def test_tokens_are_those_of_the_design_document():
+def test_tokens_agree_with_the_design_document():
     begin = "@ros2_lv/2/aac3178e146ba6f1fc6e6a4085e77f21/0"
     assert LISTENER.token == f"{begin}/0/NN/%/%/listener"
     subscription = LISTENER.subscription(10, "/chatter", STRING, 10)

@@ -97,7 +97,7 @@ def test_a_smooth_trajectory_is_driven_in_its_own_time_and_every_increment_is_ad
 
 
 @pytest.mark.long
-def test_straight_pieces_are_slowed_down_at_their_corners_and_kept_to(lab: Any) -> None:
+def test_straight_segments_are_followed_and_slowed_down_at_corners(lab: Any) -> None:
     driven = Driven(lab)
     home, aside = driven.home, np.array([0.2, 0.0, 0.0, 0.0, 0.2, 0.0])
     # the third point goes back over the way that was come
@@ -112,7 +112,7 @@ def test_straight_pieces_are_slowed_down_at_their_corners_and_kept_to(lab: Any) 
 
 
 @pytest.mark.long
-def test_a_path_that_ends_where_it_began_is_driven_all_the_same(lab: Any) -> None:
+def test_a_closed_path_is_driven(lab: Any) -> None:
     driven = Driven(lab)
     driven.hear(point(0.5, driven.home + 0.3 * MOVED), point(1.0, driven.home))
     driven.cell.run(0.5)
@@ -123,7 +123,7 @@ def test_a_path_that_ends_where_it_began_is_driven_all_the_same(lab: Any) -> Non
 
 
 @pytest.mark.long
-def test_cycles_that_were_missed_stretch_the_time_and_the_robot_comes_back_to_its_path(lab: Any) -> None:
+def test_missed_cycles_stretch_the_time_and_the_robot_returns_to_its_path(lab: Any) -> None:
     driven = Driven(lab)
     cut = fault("controller_hli_cut", at_s=0.4, for_s=0.12)
     driven.cell.suffer(cut, fault("hli_sim_lossy", at_s=0.8, for_s=0.5))
@@ -152,7 +152,7 @@ def test_an_empty_trajectory_brings_the_robot_to_rest_on_its_path(lab: Any) -> N
 
 
 @pytest.mark.long
-def test_a_new_trajectory_takes_the_place_of_the_old_from_where_the_robot_came_to_rest(lab: Any) -> None:
+def test_a_new_trajectory_begins_where_the_robot_came_to_rest_on_the_old_one(lab: Any) -> None:
     driven = Driven(lab)
     driven.hear(point(2, driven.home + MOVED))
     driven.cell.run(0.8)
@@ -227,7 +227,7 @@ def test_a_gantry_is_moved_in_metres_and_radians(lab: Any) -> None:
 @pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize("seed", range(8))
-def test_any_trajectory_within_the_limits_is_driven_on_its_path_without_a_word_of_the_gate(
+def test_any_trajectory_within_the_limits_is_driven_on_its_path_with_every_increment_admitted(
     lab: Any, seed: int
 ) -> None:
     driven, rng = Driven(lab), np.random.default_rng(seed)
@@ -259,7 +259,7 @@ def test_a_robot_that_left_its_path_is_not_brought_back() -> None:
     assert not dq.any()
 
 
-def test_a_trajectory_begins_when_the_robot_rests_and_not_before() -> None:
+def test_a_trajectory_begins_only_when_the_robot_rests() -> None:
     cell = small_cell()
     arm = robot_summary(cell.robots["fr"], cell.cycle_s)
     said: list[str] = []
@@ -352,7 +352,7 @@ def test_an_impossible_request_is_refused_with_field_value_and_bound(message, te
     assert str(refused.value).startswith(text)
 
 
-def test_no_points_are_a_stop_with_any_names():
+def test_a_trajectory_without_points_is_a_stop_for_any_names():
     assert read(trajectory(())) is None
     assert read(trajectory(("a1", "a1"))) is None
 
@@ -394,7 +394,7 @@ def test_the_path_from_the_present_configuration_is_checked_too(points, text):
     assert str(refused.value).startswith(text)
 
 
-def test_a_first_point_nearby_is_approached_and_one_that_is_met_is_not():
+def test_a_near_first_point_is_approached_unless_already_reached():
     asked = read(trajectory(A, point(0, q(at=0.115)), point(1, q(at=0.5))))
     path = path_from(asked, HERE, ARM)
     assert path.at(np.array([0.0]))[0].tolist() == HERE.tolist()
@@ -409,7 +409,7 @@ numbers = st.floats(-2, 2)
 
 @pytest.mark.long
 @given(st.lists(st.tuples(st.floats(0.05, 2), numbers, numbers, st.booleans()), min_size=2, max_size=6))
-def test_a_path_passes_its_points_as_they_say_and_its_extremes_are_those_of_its_samples(rows):
+def test_a_path_meets_its_points_and_its_extremes_agree_with_samples(rows):
     times_s = np.cumsum([row[0] for row in rows]) - rows[0][0]
     q = np.array([[row[1]] for row in rows])
     v = np.array([[row[2] if row[3] else NAN] for row in rows])
@@ -433,7 +433,7 @@ def test_a_path_passes_its_points_as_they_say_and_its_extremes_are_those_of_its_
         np.testing.assert_allclose(differences, path.velocity(inside)[1:-1, 0], atol=1e-3 * (1 + fastest))
 
 
-def test_a_profile_slows_down_for_bends_and_corners_and_in_time_for_them():
+def test_a_profile_slows_down_in_time_for_bends_and_corners():
     limits = IncrementLimits.told(ARM, CELL.cycle_s)
     nothing = np.full((3, 6), NAN)
     corner = Path(np.array([0.0, 1.0, 2.0]), np.array([q(at=0.0), q(at=1.0), q(at=0.0)]), nothing)

@@ -30,7 +30,7 @@ def lead(leader: ScriptedLeader, duration_s: float, robot: RobotModel = GR) -> t
 @pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 1])
-def test_the_tool_moves_at_the_speed_given_nearly_always_and_never_faster(seed: int) -> None:
+def test_the_tool_moves_mostly_at_the_given_speed_and_never_faster(seed: int) -> None:
     leader = ScriptedLeader(GR, CYCLE_S, 0.25, seed)
     _, positions = lead(leader, 45.0)
     velocity = np.diff(positions, axis=0) / CYCLE_S
@@ -68,7 +68,7 @@ def test_a_fast_leader_keeps_its_limits_too(speed_m_s: float) -> None:
 
 
 @pytest.mark.long
-def test_a_stick_that_accelerates_harder_is_followed_as_far_as_the_joints_can() -> None:
+def test_a_faster_stick_acceleration_is_followed_within_joint_limits() -> None:
     means, accelerations = [], []
     for stick_m_s2 in (2.0, 8.0):
         leader = ScriptedLeader(GR, CYCLE_S, 0.5, 0, stick_m_s2=stick_m_s2)
@@ -92,7 +92,7 @@ def test_around_its_home_in_the_lab_the_leader_stays_clear_of_everything() -> No
             assert oracle.of_one_robot(both).distance_m > self_stop + 0.02
 
 
-def test_a_leader_that_is_held_turns_elsewhere() -> None:
+def test_a_held_leader_turns_elsewhere() -> None:
     leader = ScriptedLeader(GR, CYCLE_S, 0.25, 0)
     q = np.array(GR.home)
     wanted = [leader.increment(View(RobotView(cycle, cycle * CYCLE_S, q, q))) for cycle in range(200)]
@@ -106,19 +106,19 @@ def test_a_leader_without_speed_stands_still() -> None:
 
 
 @pytest.mark.parametrize("speed_m_s", [-0.1, float("nan"), float("inf")])
-def test_a_speed_that_is_none_is_refused(speed_m_s: float) -> None:
+def test_an_invalid_speed_is_refused(speed_m_s: float) -> None:
     with pytest.raises(ControllerError, match="speed_m_s must be a finite number"):
         ScriptedLeader(GR, CYCLE_S, speed_m_s)
 
 
 @pytest.mark.parametrize("stick_m_s2", [0.0, -1.0, float("nan"), float("inf")])
-def test_an_acceleration_that_is_none_is_refused(stick_m_s2: float) -> None:
+def test_an_invalid_acceleration_is_refused(stick_m_s2: float) -> None:
     with pytest.raises(ControllerError, match=r"stick_m_s2 must be a finite number of m/s\^2 above 0"):
         ScriptedLeader(GR, CYCLE_S, stick_m_s2=stick_m_s2)
     with pytest.raises(ControllerError, match="stick_m_s2"):
         AttackingLeader(GR, lab().robots["fr"], CYCLE_S, stick_m_s2=stick_m_s2)
 
 
-def test_a_box_that_is_none_is_refused() -> None:
+def test_an_invalid_workspace_is_refused() -> None:
     with pytest.raises(ControllerError, match="workspace"):
         Joystick(0.25, 0, Workspace((0.0, 0.0, 0.0), (1.0, 0.0, 1.0)), CYCLE_S)

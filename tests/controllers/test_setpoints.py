@@ -25,7 +25,7 @@ def at(cycle: int) -> Array:
     return cycle * CYCLE_S * VELOCITY
 
 
-def test_a_robot_in_steady_motion_is_where_its_setpoints_will_be() -> None:
+def test_a_robot_in_steady_motion_is_predicted_at_its_setpoints() -> None:
     tracker = SetpointTracker(CYCLE_S)
     for cycle in range(5):
         tracker.update(seen(cycle, at(cycle)))
@@ -33,14 +33,14 @@ def test_a_robot_in_steady_motion_is_where_its_setpoints_will_be() -> None:
     np.testing.assert_allclose(tracker.ahead(10 * CYCLE_S), at(14))
 
 
-def test_stamps_that_jitter_and_states_that_were_missed_change_nothing() -> None:
+def test_jittering_stamps_and_missed_states_change_nothing() -> None:
     tracker = SetpointTracker(CYCLE_S)
     for cycle in (0, 1, 2, 2, 6, 7):
         tracker.update(seen(cycle, at(cycle), time_s=cycle * CYCLE_S + 0.005 * (cycle % 2)))
     np.testing.assert_allclose(tracker.velocity, VELOCITY)
 
 
-def test_a_robot_that_accelerates_is_foreseen_better_than_one_that_is_taken_to_be_steady() -> None:
+def test_an_acceleration_estimate_improves_the_prediction() -> None:
     tracker, q = SetpointTracker(CYCLE_S), np.zeros(1)
     places = [q := q + 1e-4 * cycle for cycle in range(20)]
     for cycle in range(10):
@@ -67,7 +67,7 @@ def test_after_a_long_silence_or_a_new_robot_server_the_estimate_restarts(cycle:
     np.testing.assert_array_equal(tracker.ahead(0.1), np.ones(2))
 
 
-def test_before_the_first_view_there_is_nothing_to_foresee() -> None:
+def test_without_a_view_there_is_no_prediction() -> None:
     with pytest.raises(ControllerError, match="call update"):
         SetpointTracker(CYCLE_S).ahead(0.06)
 
@@ -79,7 +79,7 @@ def lab() -> CellModel:
 
 @pytest.mark.parametrize("dead_time_s", [0.0, 0.016, 0.046, 0.1])
 @pytest.mark.parametrize("slower", ["gr", "fr"])
-def test_drives_meet_those_of_a_robot_that_lags_more_or_less(slower: str, dead_time_s: float) -> None:
+def test_the_prediction_compensates_different_lags_of_the_drives(slower: str, dead_time_s: float) -> None:
     """FR goes to the setpoint that is foreseen of GR: then the drives of both are at one place at one time."""
     robots = CellModel.load("lab").robots
     lags = {name: robot.description.servo_lag for name, robot in robots.items()}
@@ -116,7 +116,7 @@ def test_prediction_covers_the_age_of_the_view_and_the_delay_of_the_answer(lab: 
     assert other.age_s == pytest.approx(3 * CYCLE_S)
 
 
-def test_a_view_that_freezes_is_told_stale_then_lost_and_fresh_again(lab: CellModel) -> None:
+def test_a_frozen_view_becomes_stale_then_lost_and_then_fresh_again(lab: CellModel) -> None:
     other, sights = foreseen(lab), {}
     assert other.sight is Sight.LOST
     for cycle in range(400):

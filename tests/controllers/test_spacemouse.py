@@ -96,7 +96,7 @@ def well_formed(report: bytes) -> bool:
 
 
 @given(st.lists(st.binary(max_size=14)))
-def test_malformed_reports_are_counted_and_leave_the_cap_where_it_was(reports: list[bytes]) -> None:
+def test_malformed_reports_are_counted_and_keep_the_deflection(reports: list[bytes]) -> None:
     garbage = [report for report in reports if not well_formed(report)]
     cap = Cap()
     before = cap.look(translation(BACK), buttons(RUN))
@@ -127,7 +127,7 @@ def test_a_report_that_is_cut_or_out_of_range_is_ignored(report: bytes) -> None:
     assert cap.core.ignored == 1
 
 
-def test_a_cap_that_is_deflected_as_the_drive_begins_has_to_be_let_go_first() -> None:
+def test_a_cap_deflected_at_the_start_must_be_released_first() -> None:
     cap = Cap(translation(BACK))
     assert cap.look(translation(BACK)).rates == REST
     assert cap.look(translation((FULL, FULL, 0)), rotation(RIGHT)).rates == REST, "one axis was never let go"
@@ -137,7 +137,7 @@ def test_a_cap_that_is_deflected_as_the_drive_begins_has_to_be_let_go_first() ->
     assert cap.look(translation(BACK)).rates["x"] == -1.0
 
 
-def test_a_button_that_is_held_as_the_drive_begins_is_no_press() -> None:
+def test_a_button_held_at_the_start_is_no_press() -> None:
     cap = SixAxis()
     assert cap.look([buttons(RUN)], 0.0) == cap.look([], SETTLE_S) == SixAxisState(REST)
     cap = Cap()
@@ -146,7 +146,7 @@ def test_a_button_that_is_held_as_the_drive_begins_is_no_press() -> None:
     assert cap.look() == SixAxisState(REST, frozenset({RUN}))
 
 
-def test_a_deflected_cap_that_falls_silent_is_rest_until_it_was_let_go() -> None:
+def test_a_silent_deflected_cap_means_rest_until_it_was_released() -> None:
     cap = Cap()
     assert cap.look(translation(BACK)).rates["x"] == -1.0
     cap.time_s += STALE_S
@@ -193,7 +193,7 @@ def test_speed_grows_from_zero_at_the_edge_of_the_dead_zone_and_is_full_beyond_t
     assert cap.look(translation((0, -int(DEAD_ZONE * FULL), 0))).rates["x"] == 0.0
 
 
-def test_translation_and_rotation_that_come_apart_are_one_deflection() -> None:
+def test_separate_reports_of_translation_and_rotation_are_one_deflection() -> None:
     cap = Cap()
     cap.look(translation(DOWN))
     assert cap.look(rotation(RIGHT)).rates == REST | {"z": -1.0, "ry": -1.0}
@@ -223,7 +223,7 @@ def test_the_cap_moves_the_hand_only_while_the_left_button_is_held() -> None:
     terminal.close()
 
 
-def test_in_modes_of_joints_pushing_ahead_drives_the_joint_that_is_chosen() -> None:
+def test_in_joint_modes_a_forward_push_drives_the_chosen_joint() -> None:
     operator = Teleoperator(model("gr"), CYCLE_S, DrivingMode.JOINT)
     terminal, cap = Terminal(operator), Cap()
     device = mouse(terminal, operator)
@@ -235,7 +235,7 @@ def test_in_modes_of_joints_pushing_ahead_drives_the_joint_that_is_chosen() -> N
 # --- the device -----------------------------------------------------------------------------------------------
 
 
-def test_no_device_says_what_else_to_use() -> None:
+def test_a_missing_device_is_reported_with_alternatives() -> None:
     operator = Teleoperator(model("gr"), CYCLE_S)
     terminal = Terminal(operator)
     with pytest.raises(ControllerError, match=r"no SpaceMouse is plugged in.*`--input keyboard` or"):
@@ -255,7 +255,7 @@ def test_no_device_says_what_else_to_use() -> None:
         (0x1234, 0xC635, (1, 8), False),
     ],
 )
-def test_mice_and_keyboards_of_the_same_makers_are_not_taken(
+def test_mice_and_keyboards_of_the_same_makers_are_ignored(
     maker: int, product: int, usage: tuple[int, int], taken: bool
 ) -> None:
     found = {"vendor_id": maker, "product_id": product, "usage_page": usage[0], "usage": usage[1]}

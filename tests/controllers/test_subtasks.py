@@ -32,7 +32,7 @@ def urdf_with_a6_turned_round() -> str:
     return text.replace(joint.group(), turned)
 
 
-def test_the_field_of_the_view_distance_goes_down_the_square_of_its_error() -> None:
+def test_the_view_distance_field_descends_the_squared_error() -> None:
     kinematics = Kinematics(lab().robots["fr"], "camera")
     focus, desired, gain = np.array([-0.4, -1.3, 1.2]), 1.0, 3.0
     q = np.deg2rad([10.0, -100, 90, 20, 30, -15])
@@ -77,13 +77,13 @@ def test_the_effect_of_the_last_joint_on_the_roll_is_its_derivative(
             assert effect == pytest.approx(-1.0 if turned else 1.0)
 
 
-def test_a_camera_that_looks_straight_down_is_not_levelled() -> None:
+def test_a_camera_looking_straight_down_is_not_levelled() -> None:
     looking_down = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
     assert roll_effect(looking_down, np.array([0.0, 0.0, -1.0])) == 0.0
     assert turn_to_level(looking_down, np.array([0.0, 0.0, -1.0]), 0.0, -6.0, 6.0) == 0.0
 
 
-def test_the_roll_joint_goes_the_long_way_where_the_short_one_ends_at_its_limit() -> None:
+def test_the_roll_joint_takes_the_long_direction_if_its_limit_blocks_the_short_one() -> None:
     kinematics = Kinematics(lab().robots["fr"], "camera")
     kinematics.update(np.deg2rad([0.0, -90, 90, 0, 0, 0]))
     axis, limit = kinematics.angular[:, -1], math.radians(345.0)

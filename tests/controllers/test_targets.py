@@ -22,7 +22,7 @@ def chosen_over(choice: TargetChoice, visible: list[tuple[bool, ...]], begin_s: 
     return chosen
 
 
-def test_the_first_is_looked_at_until_it_has_been_hidden_for_a_while() -> None:
+def test_the_first_target_is_kept_until_it_was_hidden_for_a_while() -> None:
     chosen = chosen_over(TargetChoice(2), [(True, True)] * 16 + [(False, True)] * 20)
     assert chosen.index(1) * STEP_S == 2.0 + HIDDEN_S
     assert set(chosen[chosen.index(1) :]) == {1}
@@ -33,7 +33,7 @@ def test_a_target_is_chosen_only_after_it_was_visible_for_a_while() -> None:
     assert chosen.index(1) * STEP_S == VISIBLE_S
 
 
-def test_the_choice_stays_where_all_are_hidden() -> None:
+def test_the_choice_stays_while_all_targets_are_hidden() -> None:
     choice = TargetChoice(3)
     assert set(chosen_over(choice, [(False,) * 3] * 30)) == {0}
     assert choice.is_hidden
@@ -48,7 +48,7 @@ def test_a_restarted_clock_delays_no_caller() -> None:
 
 
 @given(st.lists(st.tuples(st.booleans(), st.booleans(), st.booleans()), max_size=120))
-def test_nobody_is_returned_to_before_having_been_visible_for_a_while(
+def test_a_target_is_resumed_only_after_being_visible_for_a_while(
     visible: list[tuple[bool, bool, bool]],
 ) -> None:
     chosen = chosen_over(TargetChoice(3), visible)
@@ -64,7 +64,7 @@ def test_nobody_is_returned_to_before_having_been_visible_for_a_while(
             assert not all(seen[before] for seen in lately)
 
 
-def test_a_target_that_stays_visible_after_a_return_is_returned_to_as_soon_as_at_first() -> None:
+def test_a_target_visible_after_a_return_is_resumed_as_quickly_as_at_first() -> None:
     choice = TargetChoice(2)
     for begin_s in (0.0, 100.0, 200.0):
         hidden = chosen_over(choice, [(False, True)] * 16, begin_s)
@@ -94,7 +94,7 @@ def test_omitted_values_of_a_view_are_those_at_the_followers_start(
     assert targets_of(wish, STARTED, "gr") == targets
 
 
-def test_a_point_of_the_tool_is_that_of_the_leader_where_a_fixed_point_was_looked_at() -> None:
+def test_an_offset_after_a_fixed_point_refers_to_the_tool_of_the_leader() -> None:
     started = ViewTarget(focus_m=POINT)
     asked = targets_of(ViewWish(aim_offset_m=POINT), started, "gr")
     assert asked == (ViewTarget(leader="gr", aim_offset_m=POINT),)

@@ -46,7 +46,7 @@ async def drive(
     return places
 
 
-async def test_an_end_that_is_told_while_the_robot_moves_is_remembered_until_it_rests() -> None:
+async def test_an_end_requested_in_motion_waits_for_rest() -> None:
     cell = QuietCell("lab", Waits())
     teleoperator = Teleoperator(cell.models["gr"], CYCLE_S)
     places = await drive(
@@ -66,7 +66,7 @@ async def test_an_end_that_is_told_while_the_robot_moves_is_remembered_until_it_
         (DeltaqError("it does not get on"), None, ""),
     ],
 )
-def test_a_drive_that_did_not_end_as_wished_says_why_and_what_to_do(
+def test_a_drive_that_ends_early_gives_reason_and_remedy(
     error: DeltaqError, code: str | None, remedy: str
 ) -> None:
     cell = QuietCell("lab", Waits())
@@ -82,7 +82,7 @@ def for_cycles(count: int, command: OperatorCommand) -> tuple[OperatorCommand, C
     return command, lambda cycles: cycles >= count
 
 
-async def test_an_output_that_cannot_be_switched_is_told_and_the_drive_goes_on() -> None:
+async def test_a_failed_output_is_reported_and_the_drive_continues() -> None:
     cell, signals = QuietCell("lab", Waits()), SignalLog()
     cell.refused_outputs = {"tool_changer"}
     teleoperator = Teleoperator(cell.models["gr"], CYCLE_S)
@@ -118,7 +118,7 @@ async def test_outputs_are_switched_once_each_in_their_order_while_the_robot_mov
     assert signals.status == "gripper on"
 
 
-async def test_a_drive_that_breaks_off_switches_nothing_any_more() -> None:
+async def test_an_aborted_drive_switches_no_further_output() -> None:
     leased = Leased("gr", np.zeros(9), QuietCell("lab", Waits()))
 
     async def broken_off() -> None:
@@ -167,7 +167,7 @@ def test_a_step_stays_within_the_range_of_the_pad() -> None:
     assert stepped(least_m, -VIEW_STEP_M) == least_m
 
 
-async def test_the_first_step_goes_from_the_distance_that_is_seen_and_the_next_from_what_was_asked() -> None:
+async def test_the_first_step_starts_from_the_measured_distance_and_the_next_from_the_requested_one() -> None:
     cell = WatchedCell()
     view = AskedViewDistance(cell, "gr")
     lens = cell.models["fr"].camera_pose(cell.places["fr"])[:3, 3]
@@ -209,7 +209,7 @@ def test_figures_count_from_the_end_of_the_start_up_and_are_sizes() -> None:
     assert errors.figures(unit=2.0)["max"] == 2.0
 
 
-def test_verdicts_and_reasons_are_counted_and_silence_too() -> None:
+def test_verdicts_reasons_and_missing_verdicts_are_counted() -> None:
     statistics = ControlStatistics()
     bound = Reason(code=ReasonCode.CLEARANCE)
     statistics.add(Verdict(robot="fr", cycle=1, seq=1, outcome=Outcome.ADMITTED))

@@ -66,7 +66,7 @@ def test_every_setpoint_of_a_timed_path_holds_the_hands_to_1e_9(option: Option) 
         assert np.abs(TRACKER.hands(q) - poses).max() < 1e-9
 
 
-def test_a_route_goes_on_from_wherever_near_the_path_the_robot_is(option: Option) -> None:
+def test_a_route_continues_from_any_point_near_the_path(option: Option) -> None:
     setpoints = timed(path_of(option), TRACKER, CYCLE_S)
     for pace in (1.0, 0.3):
         route, q = Route(setpoints), setpoints[0]
@@ -83,7 +83,7 @@ def test_a_route_goes_on_from_wherever_near_the_path_the_robot_is(option: Option
         assert route.done > 0.99
 
 
-def test_a_path_that_moves_the_hands_is_timed_as_it_is(option: Option) -> None:
+def test_a_path_that_moves_the_hands_is_timed_unchanged(option: Option) -> None:
     path = np.linspace(DAWM.home, DAWM.home + 0.2, 21)
     setpoints = timed(path, TRACKER, CYCLE_S, hands_move=True)
     off = setpoints - DAWM.home
@@ -118,7 +118,7 @@ def spaces(start: Array) -> list[Space]:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_room_rises_with_every_step_and_no_limit_is_passed(seed: int) -> None:
+def test_clearance_rises_with_every_step_within_limits(seed: int) -> None:
     start = at_a_body(np.random.default_rng(seed))
     for space in spaces(start):
         way = parted(GR, space, EXACT, start, ENOUGH_M)
@@ -133,11 +133,11 @@ def test_the_room_rises_with_every_step_and_no_limit_is_passed(seed: int) -> Non
             assert np.abs(GR_TRACKER.hands(way[-1]) - GR_TRACKER.hands(start)).max() < 1e-9
 
 
-def test_who_has_room_goes_nowhere() -> None:
+def test_a_robot_with_clearance_stays_in_place() -> None:
     assert len(parted(GR, HandsMoved(GR), EXACT, GR.home, ENOUGH_M)) == 1
 
 
-def test_a_path_begins_with_the_way_out() -> None:
+def test_a_path_begins_with_the_retreat() -> None:
     start = at_a_body(np.random.default_rng(1))
     space = HandsMoved(GR)
     goal = parted(GR, space, EXACT, start, 5 * ENOUGH_M)[-1]

@@ -38,7 +38,7 @@ def look(target: Array, cell: CellModel | None = None) -> Visibility:
     return VisibilityGauge(cell or lab(), "fr").look(HOME, target)
 
 
-def test_the_leaders_own_finger_hides_what_is_between_its_fingers() -> None:
+def test_the_finger_of_the_leader_hides_the_space_between_its_fingers() -> None:
     between = Scene(lab(), "fr", "gr", (0.0, 0.0, 0.0)).focus_at(HOME["gr"])
     before = Scene(lab(), "fr", "gr").focus_at(HOME["gr"])
     assert look(between).in_picture == (True, True)
@@ -48,7 +48,7 @@ def test_the_leaders_own_finger_hides_what_is_between_its_fingers() -> None:
     assert look(before).is_seen
 
 
-def test_a_wall_hides_what_is_behind_it() -> None:
+def test_a_wall_hides_points_behind_it() -> None:
     target = at(0.0, 0.0, 1.0)
     assert look(target).is_seen
     hidden = look(target, with_wall("wall", (0.3, 0.3, 0.3), at(0.0, 0.0, 0.5)))
@@ -63,7 +63,7 @@ def test_a_post_near_one_lens_hides_the_target_from_that_eye_alone() -> None:
     assert not seen.is_seen
 
 
-def test_the_robots_own_arm_hides_what_is_behind_it() -> None:
+def test_the_arm_of_the_robot_hides_points_behind_it() -> None:
     robot = lab().robots["fr"]
     shoulder = robot.joint_origins(HOME["fr"])[1]
     behind = shoulder + 0.6 * (shoulder - at(0.0, 0.0, 0.0))
@@ -81,7 +81,7 @@ def test_the_robots_own_arm_hides_what_is_behind_it() -> None:
         (0.0, 33.0, False),
     ],
 )
-def test_a_picture_is_as_high_as_it_is_told_and_half_as_wide_again(
+def test_a_picture_has_its_given_height_and_one_and_a_half_times_the_width(
     up_deg: float, right_deg: float, is_inside: bool
 ) -> None:
     seen = look(at(np.tan(np.deg2rad(up_deg)), np.tan(np.deg2rad(right_deg)), 1.0))
@@ -100,19 +100,19 @@ def test_a_camera_without_a_baseline_has_one_eye() -> None:
     assert look(at(0.0, 0.0, 1.0), cell).in_picture == (True,)
 
 
-def test_a_robot_without_a_camera_sees_nothing_and_says_so() -> None:
+def test_a_robot_without_a_camera_is_refused_as_an_observer() -> None:
     with pytest.raises(RobotModelError, match="carries no camera"):
         VisibilityGauge(lab(), "gr")
 
 
 @pytest.mark.parametrize("field", ["aspect", "baseline_m"])
-def test_a_camera_with_a_picture_that_is_none_is_refused(field: str) -> None:
+def test_a_camera_with_an_invalid_picture_is_refused(field: str) -> None:
     with pytest.raises(ValueError, match=field):
         Camera.model_validate({field: -1.0})
 
 
 @pytest.mark.parametrize("name", ["paper", "predictive", "qp"])
-def test_a_controller_looks_at_the_point_of_the_tool_that_it_is_told(name: str) -> None:
+def test_a_controller_looks_at_the_given_point_of_the_tool(name: str) -> None:
     scene = Scene(lab(), "fr", "gr", (0.05, 0.0, 0.1))
     told = camera_controller_named(name, scene, 1.25).errors(HOME["fr"], HOME["gr"])
     fixed = camera_controller_named(name, scene, 1.25, scene.focus_at(HOME["gr"])).errors(
