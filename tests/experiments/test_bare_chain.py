@@ -13,14 +13,14 @@ from deltaq_experiments.bench.bare_chain import PASSES, BareChainError, measured
 from deltaq_protocol.errors import DeltaqError
 
 
-def test_every_topic_that_is_passed_on_is_taken_by_somebody() -> None:
+def test_every_forwarded_topic_has_a_receiver() -> None:
     taken = {topic for passes in PASSES.values() for topic in passes}
     passed_on = {topic for passes in PASSES.values() for topics in passes.values() for topic in topics}
     assert passed_on | {"guarded/state"} == taken
 
 
 @pytest.mark.service
-def test_states_come_back_as_admissions_and_each_process_costs_something(tmp_path: Path) -> None:
+def test_states_return_as_admissions_and_every_process_takes_time(tmp_path: Path) -> None:
     chain = measured(["left-arm"], 0.012, 1.0, tmp_path, time.sleep)
     assert set(chain.processor_us) == {"robot-server-left-arm", "sim", "hli", "client-left-arm"}
     assert all(us > 0.0 for us in chain.processor_us.values())
@@ -30,7 +30,7 @@ def test_states_come_back_as_admissions_and_each_process_costs_something(tmp_pat
 
 
 @pytest.mark.service
-def test_a_process_of_it_that_is_killed_is_an_error_and_none_is_left(tmp_path: Path) -> None:
+def test_a_killed_process_of_the_chain_is_an_error_and_leaves_no_process(tmp_path: Path) -> None:
     def kill_one(for_s: float) -> None:
         newest = children()[-1]
         if for_s == 2.0:

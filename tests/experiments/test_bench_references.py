@@ -24,7 +24,7 @@ from deltaq_experiments.bench.native import CompilerError, program
 from deltaq_experiments.live import LastLines
 
 
-def test_a_compiler_that_fails_is_told_with_what_it_said(
+def test_a_failing_compiler_is_reported_with_its_output(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     broken = tmp_path / "cc"
@@ -35,7 +35,9 @@ def test_a_compiler_that_fails_is_told_with_what_it_said(
         program("hops", tmp_path)
 
 
-def test_without_a_compiler_one_is_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_compiler_the_error_names_the_remedy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("CC", "no-such-compiler")
     with pytest.raises(CompilerError, match=r"no compiler 'no-such-compiler': install one, or name it in CC"):
         program("hops", tmp_path)
@@ -54,12 +56,12 @@ def test_a_message_passes_five_hops_in_their_order(tmp_path: Path) -> None:
     assert 0.0 <= times.in_time <= 1.0
 
 
-def test_of_the_reference_only_the_window_counts(tmp_path: Path) -> None:
+def test_the_reference_counts_only_the_window(tmp_path: Path) -> None:
     with hop_reference(0.004, 0.1, tmp_path) as reference:
         assert len(reference.times(0, 1).rows) == 0
 
 
-def test_a_reference_that_is_killed_is_an_error_and_leaves_no_process(tmp_path: Path) -> None:
+def test_a_killed_reference_is_an_error_and_leaves_no_process(tmp_path: Path) -> None:
     with hop_reference(0.004, 60.0, tmp_path) as reference:
         reference.process.kill()
         with pytest.raises(HopReferenceError, match="ended with -9"):
@@ -131,7 +133,7 @@ def test_processor_time_of_a_process_that_has_ended_is_an_error() -> None:
         processor_seconds(child.pid)
 
 
-def test_a_process_that_ended_before_it_was_measured_is_named_with_what_it_said() -> None:
+def test_a_process_that_ended_before_its_measurement_is_named_with_its_output() -> None:
     ends = "print('ready: here', flush=True); print('no such cell'); raise SystemExit(3)"
     lines = LastLines()
     launcher = Launcher([Service(name="follower", role=Role.FOLLOWER, arguments=("-c", ends))], lines)

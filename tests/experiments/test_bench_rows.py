@@ -30,7 +30,7 @@ def lab() -> LoadedCell:
     "bounds",
     [{"at_most": 1.9}, {"p99_at_most": 1.9}, {"p99_9_at_most": 1.9}, {"longest_at_most": 1.9}],
 )
-def test_each_bound_can_be_missed_by_itself(bounds: dict[str, float]) -> None:
+def test_each_bound_can_fail_alone(bounds: dict[str, float]) -> None:
     row = BenchRow.of("what", "reference", [2.0] * 10, [1.0] * 10, **bounds)
     assert row.kept is False
     assert not BenchTable(rows=(row,)).good
@@ -38,7 +38,7 @@ def test_each_bound_can_be_missed_by_itself(bounds: dict[str, float]) -> None:
     assert (ratio, bound) == (2.0, 1.9)
 
 
-def test_a_row_without_a_bound_promises_nothing() -> None:
+def test_a_row_without_a_bound_never_fails() -> None:
     row = BenchRow.of("what", "reference", [9.0], [1.0])
     assert row.kept is None
     assert BenchTable(rows=(row,)).good
@@ -60,14 +60,14 @@ def test_the_slowest_are_compared_with_the_slowest() -> None:
         "no msgpack",
     ],  # compressed, they hold the time of day
 )
-def test_a_damaged_set_of_situations_is_told(tmp_path: Path, content: bytes) -> None:
+def test_a_damaged_set_of_situations_is_reported(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "cornered"
     file.write_bytes(content)
     with pytest.raises(CorneredError, match="holds no situations"):
         stored(file)
 
 
-def test_situations_of_another_version_are_told(tmp_path: Path) -> None:
+def test_situations_of_another_version_are_reported(tmp_path: Path) -> None:
     file = tmp_path / "cornered"
     file.write_bytes(gzip.compress(msgpack.packb([(msgpack.packb({"epoch": 1}), b"\x80")])))
     with pytest.raises(InvalidMessageError):
@@ -87,14 +87,14 @@ def test_each_stored_situation_is_one_decision_near_an_obstacle(lab: LoadedCell)
         assert verdict.robot == situation.request.robot
 
 
-def test_situations_are_stored_to_the_last_bit(tmp_path: Path) -> None:
+def test_situations_are_stored_bit_for_bit(tmp_path: Path) -> None:
     file = tmp_path / "cornered"
     cornered.store(stored(), file)
     assert file.read_bytes() == cornered.FILE.read_bytes()
 
 
 @pytest.mark.long
-def test_the_slowest_decisions_of_a_run_are_found_and_can_be_made_again(lab: LoadedCell) -> None:
+def test_the_slowest_decisions_of_a_run_are_found_and_repeatable(lab: LoadedCell) -> None:
     found = cornered.find(seed=3, cycles=25, kept=3)
     assert len(found) == 3
     assert [took for took, _ in found] == sorted((took for took, _ in found), reverse=True)
@@ -104,7 +104,7 @@ def test_the_slowest_decisions_of_a_run_are_found_and_can_be_made_again(lab: Loa
     assert row.longest_at_most == 2.0
 
 
-def test_a_standing_krc_sends_telegrams_that_its_robot_server_reads() -> None:
+def test_the_telegrams_of_a_krc_at_rest_are_read_by_its_robot_server() -> None:
     loaded = LoadedCell.load("lab-4ms")
     xml = loaded.ethernet_xml("gr")
     assert xml is not None

@@ -36,7 +36,7 @@ PNG = b"\x89PNG\r\n"
 
 
 @pytest.mark.nightly
-def test_an_approach_tells_each_start_and_draws_both_panels(tmp_path: Path) -> None:
+def test_an_approach_reports_each_start_and_draws_both_panels(tmp_path: Path) -> None:
     outcome = approach.run(Options(controller="qp", duration_s=0.7))
     report = outcome.report
     assert isinstance(report, approach.ApproachReport)
@@ -61,13 +61,13 @@ def test_an_approach_tells_each_start_and_draws_both_panels(tmp_path: Path) -> N
         ([5.0, 0.5, float("nan"), 0.3], 3.0),
     ],
 )
-def test_a_time_to_stay_below_is_when_it_was_above_for_the_last_time(
+def test_the_settling_time_is_that_of_the_last_sample_above_the_bound(
     angle_deg: list[float], since_s: float | None
 ) -> None:
     assert time_to_stay_below(np.arange(4.0), np.array(angle_deg), 1.0) == since_s
 
 
-def test_a_roll_is_how_far_the_picture_is_turned_about_the_view_axis() -> None:
+def test_roll_is_the_rotation_of_the_picture_about_the_view_axis() -> None:
     robot = CellModel.load("lab").robots["fr"]
     turned = np.array(robot.home)
     turned[-1] += np.deg2rad(30.0)  # the camera looks along the last axis
@@ -99,7 +99,7 @@ def test_tracking_is_one_run_a_seed_and_draws_three_panels() -> None:
     assert sum(first.report.limits.model_dump().values()) == 0
 
 
-def test_the_speed_that_was_reached_is_the_path_over_the_time_and_the_most_of_any_60_ms() -> None:
+def test_the_reached_speed_is_the_mean_and_the_greatest_over_60_ms() -> None:
     time_s = 0.012 * np.arange(101)
     speed = np.where(time_s < 0.6, 0.5, 0.1)[:-1]
     along = np.concatenate([[0.0], np.cumsum(0.012 * speed)])
@@ -131,7 +131,7 @@ def test_visibility_is_reported_as_shares_of_the_time() -> None:
 
 
 @pytest.mark.long
-def test_a_zoom_asks_for_one_distance_after_the_other() -> None:
+def test_a_zoom_requests_one_distance_after_the_other() -> None:
     report = zoom.run(Options(controller="qp", duration_s=2.0)).report
     assert isinstance(report, zoom.ZoomReport)
     assert [plateau.desired_m for plateau in report.plateaus] == list(zoom.DISTANCES_M)
@@ -148,7 +148,7 @@ def test_a_zoom_asks_for_one_distance_after_the_other() -> None:
         (False, False, "the arm reaches no farther, or the camera is still on its way"),
     ],
 )
-def test_a_distance_that_is_not_reached_says_why(near_limit: bool, evading: bool, why: str) -> None:
+def test_an_unreached_distance_has_a_reason(near_limit: bool, evading: bool, why: str) -> None:
     clock, ones = np.arange(300) * 0.01, np.ones(300)
     all_of = np.ones(300, dtype=np.bool_)
     views = zoom.Views(0.1 * ones, 1.5 * ones, 2.0 * ones, near_limit & all_of, evading & all_of)
@@ -158,7 +158,7 @@ def test_a_distance_that_is_not_reached_says_why(near_limit: bool, evading: bool
     assert told.why_not == why
 
 
-def test_a_distance_about_which_it_swings_is_reached_on_average_only() -> None:
+def test_an_oscillating_distance_is_reached_only_on_average() -> None:
     clock, no = np.arange(300) * 0.01, np.zeros(300, dtype=np.bool_)
     distance = 2.0 + 0.02 * np.sin(2.0 * np.pi * clock)
     told = zoom.plateau(zoom.Views(0.0 * clock, distance, np.full(300, 2.0), no, no), clock, 0.0, 3.0)
@@ -178,7 +178,7 @@ def test_a_leader_that_attacks_the_lens_touches_nothing() -> None:
 
 
 @pytest.mark.long
-def test_without_a_gate_an_attack_has_no_verdicts_and_the_attacker_is_as_free_as_its_limits_let_it() -> None:
+def test_without_a_gate_an_attack_has_no_verdicts_and_only_joint_limits() -> None:
     options = Options(controller="qp", duration_s=1.5, settle_s=0.0, leader_speed_m_s=0.5, gated=False)
     free, elsewhere = (collision.run(replace(options, seed=seed)).report for seed in (0, 1))
     assert isinstance(free, collision.CollisionReport)
@@ -191,7 +191,7 @@ def test_without_a_gate_an_attack_has_no_verdicts_and_the_attacker_is_as_free_as
 
 
 @pytest.mark.long
-def test_the_gates_verdicts_are_told_by_robot() -> None:
+def test_verdicts_are_reported_by_robot() -> None:
     report = collision.run(Options(controller="qp", duration_s=0.3, settle_s=0.0)).report
     assert isinstance(report, collision.CollisionReport)
     assert set(report.gate_by_robot) == {"fr", "gr"}
@@ -200,7 +200,7 @@ def test_the_gates_verdicts_are_told_by_robot() -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("without", [Options(live=True), Options(record=Path("run.mcap"))])
-def test_a_run_without_a_gate_has_no_services_to_run_or_record(without: Options) -> None:
+def test_a_run_without_a_gate_refuses_live_and_record(without: Options) -> None:
     with pytest.raises(DeltaqError, match="--no-gate runs without services: neither --live nor --record"):
         collision.run(replace(without, gated=False))
 
@@ -214,7 +214,7 @@ class Jammed:
         return np.zeros_like(view.own.q_cmd)
 
 
-def test_the_pressure_of_an_attack_is_the_share_of_the_time_in_which_its_tool_moves() -> None:
+def test_the_pressure_of_an_attack_is_the_share_of_time_with_a_moving_tool() -> None:
     model = CellModel.load("lab").robots["gr"]
     pressing = Pressing(cast(AttackingLeader, Jammed()), model, 0.012)
     assert pressing.share is None
@@ -228,7 +228,7 @@ def test_the_pressure_of_an_attack_is_the_share_of_the_time_in_which_its_tool_mo
 @pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize("cell_name", CELLS)
-def test_an_attack_begins_elsewhere_with_every_seed_and_clear_of_everything(cell_name: str) -> None:
+def test_each_seed_gives_another_clear_start_of_an_attack(cell_name: str) -> None:
     scene = load(Options(cell=cell_name))
     camera = camera_controller(scene, "paper")
     starts = [attack_start(scene, camera, seed) for seed in (0, 1, 0)]
@@ -239,7 +239,7 @@ def test_an_attack_begins_elsewhere_with_every_seed_and_clear_of_everything(cell
         assert (starts[0][robot] == starts[2][robot]).all()
 
 
-def test_the_pages_name_the_cell_and_that_there_is_no_gate() -> None:
+def test_the_pages_name_the_cell_and_the_missing_gate() -> None:
     commands = [claim.command for claim in ATTACK.claims]
     assert len(set(commands)) == len(commands)
     assert (
@@ -248,12 +248,12 @@ def test_the_pages_name_the_cell_and_that_there_is_no_gate() -> None:
     ) in commands
 
 
-def test_a_target_that_is_none_is_refused() -> None:
+def test_an_unknown_target_is_refused() -> None:
     with pytest.raises(DeltaqError, match="--target nose: there are lens, wrist, elbow, all"):
         collision.run(Options(target="nose"))
 
 
-def test_the_links_latency_comes_on_top_of_the_drives_and_cycles() -> None:
+def test_the_latency_of_the_link_adds_to_drives_and_cycles() -> None:
     scene = load(Options())
     assert [link_cycles(scene, latency_s) for latency_s in (0.0, 0.012, 0.06)] == [0, 1, 5]
     assert loop_latency_s(scene) == pytest.approx(0.132), "drives of 96 ms and three cycles"
@@ -264,14 +264,14 @@ def test_the_links_latency_comes_on_top_of_the_drives_and_cycles() -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["figure.xyz", "no/such/folder/figure.png"])
-def test_a_picture_that_cannot_be_written_is_told(name: str, tmp_path: Path) -> None:
+def test_an_unwritable_picture_is_reported(name: str, tmp_path: Path) -> None:
     clock = np.arange(3.0)
     panel = FigurePanel("p", "m", (Curve("l", clock, clock),), (Marks("m", clock, clock > 1.0),), bound=1.0)
     with pytest.raises(DeltaqError, match="give a writable FILE"):
         draw([panel], "title", tmp_path / name)
 
 
-def test_the_page_says_of_each_claim_whether_it_holds() -> None:
+def test_the_page_says_whether_each_claim_holds() -> None:
     claim = next(claim for claim in CLAIMS if claim.experiment == "tracking")
     good = {
         "angle_deg": {"max": 0.9, "rms": 0.5},
@@ -293,7 +293,7 @@ def test_the_page_says_of_each_claim_whether_it_holds() -> None:
     assert "no time for more" not in page(CAMERA, [ClaimOutcome(claim, 10 * [reports[0]])])
 
 
-def test_the_worst_of_a_clearance_is_the_least_and_of_a_time_never() -> None:
+def test_the_worst_clearance_is_the_least_and_the_worst_time_never() -> None:
     attack = ATTACKS[0]
     approached = next(claim for claim in CLAIMS if claim.experiment == "approach")
     clearances = Claim("collision", attack.options, "", attack.holds, (CLEARANCE,))
@@ -313,7 +313,7 @@ def sheet_of(claim: Claim) -> Sheet:
 
 
 @pytest.mark.nightly
-def test_a_page_has_as_many_runs_of_each_claim_as_asked_for(tmp_path: Path) -> None:
+def test_a_page_has_the_requested_number_of_runs_of_each_claim(tmp_path: Path) -> None:
     claim = next(claim for claim in CLAIMS if claim.experiment == "tracking" and claim.picture)
     short = replace(claim, options=replace(claim.options, duration_s=1.0, settle_s=0.5))
     assert write_page(["--root", str(tmp_path), "--seeds", "2"], [sheet_of(short)]) == 0
@@ -321,9 +321,7 @@ def test_a_page_has_as_many_runs_of_each_claim_as_asked_for(tmp_path: Path) -> N
     assert (tmp_path / CAMERA.file).parent.joinpath("pictures", f"{claim.picture}.png").exists()
 
 
-def test_a_series_that_was_interrupted_goes_on_where_it_was(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_series_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     claim = next(claim for claim in CLAIMS if claim.experiment == "tracking")
     report = {"angle_deg": {"max": 0.9, "rms": 0.5}, "distance_m": {"max": 0.02}, "roll_deg": {"max": 3.0}}
     ran: list[int] = []
@@ -376,7 +374,7 @@ KEPT_ATTACKS = [claim for claim in ATTACKS if claim.options.leader_speed_m_s <= 
 @pytest.mark.nightly
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("claim", GATED_ATTACKS, ids=lambda claim: claim.command)
-def test_an_attack_that_corners_the_camera_never_touches_it(claim: Claim) -> None:
+def test_a_cornering_attack_never_touches_the_camera(claim: Claim) -> None:
     report = collision.run(claim.options).report
     assert isinstance(report, collision.CollisionReport)
     assert report.contacts == 0
@@ -398,7 +396,7 @@ def test_claimed_bounds_are_kept(claim: Claim) -> None:
 
 
 @pytest.mark.nightly
-def test_the_papers_own_law_is_behind_by_speed_times_latency() -> None:
+def test_the_law_of_the_paper_lags_by_speed_times_latency() -> None:
     report = tracking.run(PAPER_TRACKING.options).report
     behind_m = 0.25 * report.loop_latency_s
     assert report.distance_m.max <= behind_m
@@ -407,7 +405,7 @@ def test_the_papers_own_law_is_behind_by_speed_times_latency() -> None:
 
 @pytest.mark.nightly
 @pytest.mark.timeout(600)
-def test_the_papers_own_law_zooms_as_well_as_its_latency_and_its_bodies_let_it() -> None:
+def test_the_law_of_the_paper_zooms_within_the_bounds_of_latency_and_bodies() -> None:
     report = zoom.run(PAPER_ZOOM.options).report
     assert isinstance(report, zoom.ZoomReport)
     *in_reach, out_of_reach = report.plateaus
@@ -424,7 +422,7 @@ def test_the_papers_own_law_zooms_as_well_as_its_latency_and_its_bodies_let_it()
 
 
 @pytest.mark.nightly
-def test_the_example_of_ones_own_controller_follows_and_is_short() -> None:
+def test_the_example_of_an_own_controller_follows_and_is_short() -> None:
     example = Path(__file__).parents[2] / "examples" / "camera" / "own_controller.py"
     assert len(example.read_text(encoding="utf-8").splitlines()) < 60
     run = subprocess.run(

@@ -64,7 +64,7 @@ UNGATED = Options(controller="escape", duration_s=0.6, settle_s=0.0, gated=False
     [(tracking.run, TRACKING), (collision.run, ATTACK), (collision.run, UNGATED)],
     ids=["tracking", "attack", "attack without a gate"],
 )
-def test_robots_by_other_names_give_the_same_figures_to_the_bit(
+def test_renamed_robots_give_bit_identical_figures(
     run: Callable[[Options], ExperimentOutcome], options: Options, tmp_path: Path
 ) -> None:
     lab, other = run(options), run(replace(options, cell=renamed(tmp_path)))
@@ -102,7 +102,9 @@ def with_a_second_camera(folder: Path) -> Path:
 @pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize("camera", ["fr", "second"])
-def test_each_camera_of_a_cell_of_three_robots_tracks_the_one_without(camera: str, tmp_path: Path) -> None:
+def test_in_a_cell_of_three_robots_each_camera_tracks_the_robot_without_one(
+    camera: str, tmp_path: Path
+) -> None:
     options = replace(TRACKING, cell=with_a_second_camera(tmp_path), robot=camera)
     report = tracking.run(options).report
     assert (report.robot, report.leader) == (camera, "gr")
@@ -114,7 +116,7 @@ def test_each_camera_of_a_cell_of_three_robots_tracks_the_one_without(camera: st
     assert report.clearance_m.min > 0.05
 
 
-def test_who_has_no_camera_cannot_watch_and_a_camera_can_be_watched(tmp_path: Path) -> None:
+def test_only_a_robot_with_a_camera_watches_and_it_can_be_watched_too(tmp_path: Path) -> None:
     with pytest.raises(RoleError, match="robot 'gr' has no camera to follow with; fr has one"):
         load(Options(robot="gr"))
     scene = load(Options(cell=with_a_second_camera(tmp_path), robot="second", leader="fr"))

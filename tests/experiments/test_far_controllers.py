@@ -28,7 +28,7 @@ def figures(capsys: pytest.CaptureFixture[str], *options: str) -> dict[str, Any]
 
 
 @pytest.mark.nightly
-def test_a_link_that_loses_too_much_in_too_long_a_time_makes_robots_brake_and_passes_no_limit(
+def test_a_link_with_long_losses_brakes_the_robots_within_limits(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     told = figures(capsys, "--delay-s", "0.06", "--loss-share", "0.2")
@@ -40,7 +40,7 @@ def test_a_link_that_loses_too_much_in_too_long_a_time_makes_robots_brake_and_pa
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("seed", ["3", "4"])
-def test_a_controller_far_away_follows_though_packets_are_late_and_lost(
+def test_a_remote_controller_follows_despite_late_and_lost_packets(
     capsys: pytest.CaptureFixture[str], seed: str
 ) -> None:
     transport = {"3": "tcp+udp", "4": "tcp"}[seed]
@@ -65,7 +65,7 @@ def test_the_page_states_bounds_of_four_links() -> None:
 @pytest.mark.nightly
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("bound", BOUNDS, ids=lambda bound: bound.link)
-def test_a_follower_far_away_keeps_the_bound_of_its_link_in_virtual_time(
+def test_a_remote_follower_keeps_the_bound_of_its_link_in_virtual_time(
     bound: FarBound, seed: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
     two_sites.main(["--virtual", *module_and_options(bound, seed)[1]])
@@ -76,9 +76,7 @@ def test_a_follower_far_away_keeps_the_bound_of_its_link_in_virtual_time(
 
 
 @pytest.mark.nightly
-def test_controllers_that_are_cut_off_for_two_seconds_lose_their_robots_at_rest_and_clear_of_one_another() -> (
-    None
-):
+def test_controllers_cut_off_for_two_seconds_lose_their_robots_at_rest_and_clear() -> None:
     """With datagrams, that is: an increment under way when the link is cut is lost, and none comes late."""
     given = two_sites.options_of(
         ["--virtual", "--controller", "qp", "--delay-s", "0.03", "--jitter-s", "0.01", "--loss-share", "0.01",

@@ -36,7 +36,7 @@ def even_hops(count: int) -> HopTimes:
 # --- quantiles ----------------------------------------------------------------------------------------------
 
 
-def test_nothing_measured_has_no_quantiles() -> None:
+def test_without_measurements_there_are_no_quantiles() -> None:
     none = Quantiles.of([])
     assert (none.count, none.p50, none.p99, none.p99_9, none.longest) == (0, None, None, None, None)
 
@@ -49,7 +49,9 @@ def test_quantiles_are_measured_values_by_nearest_rank() -> None:
 
 
 @pytest.mark.parametrize(("value", "reference"), [(None, 1.0), (1.0, None), (1.0, 0.0), (1.0, -1.0)])
-def test_there_is_no_ratio_to_nothing(value: float | None, reference: float | None) -> None:
+def test_there_is_no_ratio_to_a_missing_or_zero_reference(
+    value: float | None, reference: float | None
+) -> None:
     assert ratio(value, reference) is None
 
 
@@ -73,7 +75,7 @@ def test_an_increment_is_joined_through_all_stations() -> None:
 
 
 @pytest.mark.parametrize("lost", [s for s in StampStation if s is not StampStation.TELEGRAM])
-def test_a_lost_stamp_leaves_out_its_station_and_keeps_the_others_before_it(lost: StampStation) -> None:
+def test_a_lost_stamp_omits_its_station_and_keeps_earlier_ones(lost: StampStation) -> None:
     stamps = RobotStamps()
     stamp(stamps, 4, without=(lost,))
     stamp(stamps, 5)
@@ -215,7 +217,7 @@ def ahead_stamps(
     return stamps, list(range(last + 1))
 
 
-def test_with_a_lookahead_an_increment_that_went_into_a_later_setpoint_is_told_as_late() -> None:
+def test_with_a_lookahead_an_increment_in_a_later_setpoint_counts_as_late() -> None:
     """That of cycle 5 comes after the telegram of 7, where its setpoint is sent, and goes into that of 8."""
     late = {station: 18.0 for station in StampStation if station >= StampStation.REQUEST_AT_GATE}
     stamps, cycles = ahead_stamps(
@@ -228,14 +230,14 @@ def test_with_a_lookahead_an_increment_that_went_into_a_later_setpoint_is_told_a
     assert causes(stamps, cycles, lookahead_cycles=2) == Counter({BrakeCause.ON_WAY_TO_GATE: 1})
 
 
-def test_with_a_lookahead_a_late_increment_is_blamed_on_the_setpoint_that_it_missed_and_no_other() -> None:
+def test_with_a_lookahead_a_late_increment_counts_only_for_its_missed_setpoint() -> None:
     """Increments are decided a cycle late from cycle 5 on, and none of them too late."""
     late = {station: 8.0 for station in StampStation if station >= StampStation.INCREMENT_OUT}
     stamps, cycles = ahead_stamps(8, **{f"c{cycle}": {"later_ms": late} for cycle in (5, 6, 7, 8)})
     assert causes(stamps, cycles, lookahead_cycles=2) == Counter()
 
 
-def test_with_a_lookahead_an_increment_that_went_into_an_earlier_setpoint_is_not_taken_for_held() -> None:
+def test_with_a_lookahead_an_increment_in_an_earlier_setpoint_does_not_count_as_held() -> None:
     """The answer to 3 is missing, and those behind it move up; 7 is without one when the answer to 6 is missing too."""
     none = {"without": tuple(s for s in StampStation if s >= StampStation.INCREMENT_OUT)}
     stamps, cycles = ahead_stamps(
@@ -251,7 +253,7 @@ def test_with_a_lookahead_an_increment_that_went_into_an_earlier_setpoint_is_not
     assert causes(stamps, cycles, lookahead_cycles=2) == Counter({BrakeCause.NO_INCREMENT: 1})
 
 
-def test_with_a_lookahead_what_the_gate_held_is_told_as_held() -> None:
+def test_with_a_lookahead_held_increments_count_as_held() -> None:
     held = {"without": OF_ADMISSION}
     stamps, cycles = ahead_stamps(8, braked=(7,), c5=held)
     assert causes(stamps, cycles, lookahead_cycles=2) == Counter({BrakeCause.GATE_HELD: 1})
@@ -336,7 +338,7 @@ def test_stolen_time_is_reported_for_the_window_alone(tmp_path: Path) -> None:
     assert before.stolen_share_since(before) is None
 
 
-def test_a_bound_that_is_missed_by_a_little_is_missed() -> None:
+def test_a_narrowly_missed_bound_is_missed() -> None:
     assert LiveRow.of("rate", 99.89, "%", 100.0, at_least=99.9).kept is False
     assert LiveRow.of("longest", 24.01, "ms", 12.0, at_most=24.0).kept is False
     assert LiveRow.of("rate", None, "%", 100.0, at_least=99.9).kept is False

@@ -137,14 +137,14 @@ def elements(html: str) -> Elements:
 # --- what cannot be reported --------------------------------------------------------------------------------------
 
 
-def test_a_recording_without_states_is_told(cell: CellModel, tmp_path: Path) -> None:
+def test_a_recording_without_states_is_reported(cell: CellModel, tmp_path: Path) -> None:
     file = tmp_path / "empty.mcap"
     RecordingWriter(file, cell.description_message(), "live").close()
     with pytest.raises(EmptyRecordingError, match=r"empty\.mcap has no state of any robot"):
         read_run(file)
 
 
-def test_a_file_that_is_no_recording_is_told(tmp_path: Path) -> None:
+def test_a_file_other_than_a_recording_is_reported(tmp_path: Path) -> None:
     file = tmp_path / "notes.mcap"
     file.write_text("no recording")
     with pytest.raises(UnreadableRecordingError, match=r"notes\.mcap is no recording"):
@@ -152,7 +152,7 @@ def test_a_file_that_is_no_recording_is_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_a_truncated_recording_is_reported_as_far_as_it_goes_and_says_so(
+def test_a_truncated_recording_is_reported_up_to_its_end_with_a_notice(
     recorded: Path, tmp_path: Path
 ) -> None:
     cut = tmp_path / "cut.mcap"
@@ -163,7 +163,7 @@ def test_a_truncated_recording_is_reported_as_far_as_it_goes_and_says_so(
     assert run.notices[0] in elements(page(run)).text
 
 
-def test_a_report_is_never_written_over_anything(tmp_path: Path) -> None:
+def test_a_report_never_overwrites_a_file(tmp_path: Path) -> None:
     file = tmp_path / "run.html"
     file.write_text("something dear")
     with pytest.raises(ReportError, match="name another file with --output"):
@@ -172,7 +172,7 @@ def test_a_report_is_never_written_over_anything(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_half_a_report_is_not_left_behind_by_a_full_disk(tmp_path: Path) -> None:
+def test_a_full_disk_leaves_no_partial_report(tmp_path: Path) -> None:
     file = tmp_path / "run.html"
     code = (
         "import sys, resource, signal; from pathlib import Path\n"
@@ -195,7 +195,7 @@ def test_half_a_report_is_not_left_behind_by_a_full_disk(tmp_path: Path) -> None
         (["run.mcap", "--output", "run.mcap"], "run.mcap exists already"),
     ],
 )
-def test_wrong_use_is_exit_status_2_and_one_clear_line(
+def test_wrong_usage_gives_exit_status_2_and_one_clear_line(
     recorded: Path, arguments: list[str], told: str
 ) -> None:
     done = deltaq("recording", "report", *arguments, folder=recorded.parent)
@@ -207,7 +207,7 @@ def test_wrong_use_is_exit_status_2_and_one_clear_line(
 # --- what is reported ---------------------------------------------------------------------------------------------
 
 
-def test_figures_are_those_of_what_was_recorded(recorded: Path, cell: CellModel) -> None:
+def test_figures_agree_with_the_recorded_run(recorded: Path, cell: CellModel) -> None:
     told = figures(read_run(recorded))
     assert (told["cell"], told["source"], told["gate_fingerprints"]) == (
         "lab",
@@ -246,7 +246,7 @@ def test_events_are_reported_in_the_order_of_time(recorded: Path) -> None:
 
 
 @pytest.mark.long
-def test_the_page_has_no_address_outside_itself_and_no_script(recorded: Path) -> None:
+def test_the_page_has_no_external_address_and_no_script(recorded: Path) -> None:
     html = page(read_run(recorded))
     found = elements(html)
     assert "://" not in html
@@ -259,7 +259,7 @@ def test_the_page_has_no_address_outside_itself_and_no_script(recorded: Path) ->
 
 
 @pytest.mark.long
-def test_text_of_a_recording_is_text_on_the_page(cell: CellModel, tmp_path: Path) -> None:
+def test_text_of_a_recording_is_escaped_on_the_page(cell: CellModel, tmp_path: Path) -> None:
     file = record(tmp_path / "a<b>&c.mcap", cell, HOSTILE)
     html = page(read_run(file))
     found = elements(html)
@@ -275,7 +275,7 @@ def test_the_same_recording_gives_the_same_page(recorded: Path) -> None:
 
 
 @pytest.mark.nightly
-def test_a_page_grows_with_its_width_and_not_with_the_recording(recorded: Path) -> None:
+def test_the_size_of_a_page_depends_on_its_width_and_not_on_the_recording(recorded: Path) -> None:
     run = read_run(recorded)
     short = len(timeline(run))
     robot = run.robots["fr"]

@@ -30,7 +30,7 @@ def test_the_paper_keeps_a_leader_of_15_cm_a_second_in_view_within_a_degree_and_
 
 @pytest.mark.nightly
 @pytest.mark.live
-def test_live_the_same_processes_track_over_zenoh_and_udp(tmp_path):
+def test_live_tracking_works_over_zenoh_and_udp(tmp_path):
     """Figures depend on the machine; what must hold on any is that both robots work and nothing is passed."""
     cell = write_private_cell(tmp_path)
     status, out, error = run(
@@ -48,7 +48,7 @@ def test_live_the_same_processes_track_over_zenoh_and_udp(tmp_path):
 @pytest.mark.live
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", ["approach", "zoom", "collision"])
-def test_live_every_experiment_runs_and_draws(name, tmp_path):
+def test_every_experiment_runs_live_and_draws(name, tmp_path):
     """An approach goes to each of its starts first, a zoom turns the distance, a collision attacks."""
     cell, figure = write_private_cell(tmp_path), tmp_path / "figure.png"
     status, out, error = run(
@@ -71,7 +71,7 @@ def test_live_every_experiment_runs_and_draws(name, tmp_path):
 
 @pytest.mark.live
 @pytest.mark.nightly
-def test_bench_tells_ratios_against_references_of_the_same_run():
+def test_bench_reports_ratios_to_references_of_the_same_run():
     status, out, error = run("bench", "--cycles", "20", "--json")
     assert status in (0, 1), error
     table = json.loads(out)

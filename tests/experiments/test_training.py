@@ -50,7 +50,7 @@ def test_a_step_before_the_first_reset_is_refused() -> None:
 
 
 @pytest.mark.parametrize("action", [np.zeros(5), np.zeros((6, 1)), np.full(6, np.nan), np.full(6, np.inf)])
-def test_an_action_that_is_none_is_refused_and_the_episode_goes_on(
+def test_an_invalid_action_is_refused_and_the_episode_continues(
     env: CameraEnvironment, action: np.ndarray
 ) -> None:
     env.reset(seed=0)
@@ -68,19 +68,19 @@ def test_an_action_that_is_none_is_refused_and_the_episode_goes_on(
         ({"start": np.full(6, np.nan)}, "options: start must be 6 angles between"),
     ],
 )
-def test_a_reset_says_which_option_is_wrong(env: CameraEnvironment, options: dict, said: str) -> None:
+def test_a_reset_names_the_wrong_option(env: CameraEnvironment, options: dict, said: str) -> None:
     with pytest.raises(DeltaqError, match=said):
         env.reset(options=options)
 
 
 @pytest.mark.nightly
-def test_gymnasiums_own_checker_finds_nothing() -> None:
+def test_the_checker_of_gymnasium_finds_nothing() -> None:
     made = gymnasium.make(f"deltaq_experiments.training:{ENVIRONMENT}", duration_s=0.12)
     check_env(made.unwrapped, skip_render_check=True)
 
 
 @pytest.mark.long
-def test_a_seed_is_a_run_to_the_bit_and_another_seed_another_run(env: CameraEnvironment) -> None:
+def test_a_seed_determines_the_run_bit_for_bit(env: CameraEnvironment) -> None:
     def run(seed: int) -> list[np.ndarray]:
         first, _ = env.reset(seed=seed)
         env.action_space.seed(seed)
@@ -95,7 +95,7 @@ def test_a_seed_is_a_run_to_the_bit_and_another_seed_another_run(env: CameraEnvi
     assert not np.array_equal(once[0], other[0])
 
 
-def test_an_episode_is_as_long_as_its_time_and_every_increment_has_a_verdict(env: CameraEnvironment) -> None:
+def test_an_episode_has_its_given_length_and_a_verdict_for_every_increment(env: CameraEnvironment) -> None:
     env.reset(seed=0)
     steps = [env.step(np.full(6, 0.1)) for _ in range(10)]
     assert [truncated for *_, truncated, _ in steps] == [False] * 9 + [True]
@@ -106,7 +106,7 @@ def test_an_episode_is_as_long_as_its_time_and_every_increment_has_a_verdict(env
 
 
 @pytest.mark.long
-def test_the_reward_is_that_of_the_view_that_the_experiments_measure(env: CameraEnvironment) -> None:
+def test_the_reward_agrees_with_the_view_errors_of_the_experiments(env: CameraEnvironment) -> None:
     env.reset(seed=1)
     camera = camera_controller(scene_of(CellModel.load("lab")))
     for _ in range(3):
@@ -120,7 +120,7 @@ def test_the_reward_is_that_of_the_view_that_the_experiments_measure(env: Camera
 
 
 @pytest.mark.long
-def test_a_start_is_where_it_was_asked_for_or_as_far_off_as_it_may(env: CameraEnvironment) -> None:
+def test_a_start_is_the_given_one_or_within_the_given_error(env: CameraEnvironment) -> None:
     home = CellModel.load("lab").robots["fr"].home
     observation, _ = env.reset(seed=0, options={"start": home})
     np.testing.assert_allclose(observation["own"]["q"], home, atol=1e-5)
@@ -134,7 +134,7 @@ def test_a_start_is_where_it_was_asked_for_or_as_far_off_as_it_may(env: CameraEn
 
 
 @pytest.mark.long
-def test_the_gate_says_no_and_why() -> None:
+def test_a_refusing_verdict_has_its_reason() -> None:
     env = CameraEnvironment(duration_s=60.0, start_error_deg=10.0)
     env.reset(seed=0)
     down = np.array([0.0, 1.0, 0.0, 0.0, 0.0, 0.0])  # A2 forward, towards the floor
@@ -150,7 +150,7 @@ def test_the_gate_says_no_and_why() -> None:
 
 @pytest.mark.long
 @pytest.mark.nightly
-def test_gymnasiums_vector_of_environments_has_verdicts_of_each() -> None:
+def test_a_vector_of_environments_has_the_verdicts_of_each() -> None:
     envs = SyncVectorEnv([lambda: CameraEnvironment(duration_s=0.05)] * 2)
     envs.reset(seed=7)
     for _ in range(8):  # into the second episode of each

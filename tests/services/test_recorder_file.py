@@ -107,7 +107,7 @@ def test_the_cell_is_modelled_from_the_recording_alone(recorded: Path, cell: Cel
     )
 
 
-def test_a_file_that_is_no_recording_is_told(tmp_path: Path) -> None:
+def test_a_file_other_than_a_recording_is_reported(tmp_path: Path) -> None:
     file = tmp_path / "notes.txt"
     file.write_text("not a recording")
     for path in (file, tmp_path / "missing.mcap"):

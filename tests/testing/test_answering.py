@@ -133,9 +133,7 @@ def lab(ahead: int, tmp_path_factory: pytest.TempPathFactory) -> LoadedCell:
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_where_verdicts_are_lost_each_increment_is_reckoned_with_once_all_the_same(
-    lab: LoadedCell, seed: int
-) -> None:
+def test_each_increment_counts_once_despite_lost_verdicts(lab: LoadedCell, seed: int) -> None:
     driven, drawn = Driven(lab, Walk(seed), lambda: 5e-3), random.Random(seed)
     driven.client.hears = lambda _: drawn.random() > 0.2
     driven.run(CYCLES)
@@ -145,7 +143,7 @@ def test_where_verdicts_are_lost_each_increment_is_reckoned_with_once_all_the_sa
     assert max(off.values()) < 1e-12, off
 
 
-def test_where_verdicts_come_in_another_order_the_reckoning_is_right_again_with_the_next_state(
+def test_reordered_verdicts_are_corrected_by_the_next_state(
     lab: LoadedCell,
 ) -> None:
     driven, kept = Driven(lab, Walk(3), lambda: 5e-3), deque[Verdict]()
@@ -182,7 +180,7 @@ def test_clipped_motion_is_requested_again_once(lab: LoadedCell) -> None:
     assert max(driven.off(driven.cycle - 20).values()) < 1e-9
 
 
-def test_after_a_hold_and_a_reset_nothing_is_reckoned_with_that_was_sent_before(lab: LoadedCell) -> None:
+def test_after_a_hold_and_a_reset_earlier_increments_do_not_count(lab: LoadedCell) -> None:
     driven = Driven(lab, Walk(4), lambda: 5e-3)
     driven.run(40)
     driven.cell.stop()
@@ -199,7 +197,7 @@ def test_after_a_hold_and_a_reset_nothing_is_reckoned_with_that_was_sent_before(
     assert max(off.values()) < 1e-12, off
 
 
-def test_where_the_hli_dies_and_comes_again_driving_goes_on_with_another_lease(lab: LoadedCell) -> None:
+def test_after_a_restart_of_the_hli_driving_resumes_with_a_new_lease(lab: LoadedCell) -> None:
     driven = Driven(lab, Walk(5), lambda: 5e-3)
     driven.run(40)
     hli = driven.cell.process(Process.HLI, "")
@@ -216,7 +214,7 @@ def test_where_the_hli_dies_and_comes_again_driving_goes_on_with_another_lease(l
     assert max(off.values()) < 1e-12, off
 
 
-def test_a_controller_without_its_lease_reckons_with_none_of_its_increments(lab: LoadedCell) -> None:
+def test_a_controller_without_its_lease_counts_no_increment(lab: LoadedCell) -> None:
     driven = Driven(lab, Walk(6), lambda: 5e-3)
     driven.run(30)
     driven.client.token = "of somebody else"
@@ -226,9 +224,7 @@ def test_a_controller_without_its_lease_reckons_with_none_of_its_increments(lab:
     np.testing.assert_array_equal(driven.client.expected[max(driven.client.expected)], still)
 
 
-def test_a_controller_that_got_no_processor_time_makes_up_for_what_it_missed(
-    lab: LoadedCell, ahead: int
-) -> None:
+def test_a_stalled_controller_answers_its_missed_states(lab: LoadedCell, ahead: int) -> None:
     driven = Driven(lab, Walk(7), lambda: 3e-3)
     driven.run(20)
     for _ in range(5):
@@ -245,9 +241,7 @@ def test_a_controller_that_got_no_processor_time_makes_up_for_what_it_missed(
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_answers_that_take_longer_than_a_cycle_cost_nothing_unless_verdicts_are_waited_for(
-    lab: LoadedCell, seed: int
-) -> None:
+def test_answers_longer_than_a_cycle_are_free_unless_verdicts_are_awaited(lab: LoadedCell, seed: int) -> None:
     waited, answered = (
         Driven(lab, Walk(seed), jitter(seed, 13e-3, 0.1), waits=waits) for waits in (True, False)
     )

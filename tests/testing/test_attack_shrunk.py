@@ -87,13 +87,13 @@ STILL = (0,) * 6, (0,) * 9
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(MOVES)
 @example([Move((10, 0, 0, 0, 0, 0), STILL[1], 8, "nothing"), Move((-10, 0, 0, 0, 0, 0), STILL[1], 8, "fr")])
-def test_no_short_attack_beside_one_another_breaks_anything(moves):
+def test_no_short_attack_of_neighbouring_robots_breaks_an_invariant(moves):
     assert broken(moves) is None
 
 
 @pytest.mark.nightly
 @pytest.mark.timeout(300)
-def test_a_gate_that_certifies_anything_is_found_out_and_its_failure_is_shrunk():
+def test_an_uncritical_gate_is_detected_and_its_failure_shrunk():
     careless = patch.object(CompiledCertifier, "certify", lambda *_: Certificate(holds=True, binding=None))
     with careless:
         shortest = find(

@@ -17,7 +17,7 @@ from deltaq_proofs.model_checker.system import System
         pytest.param(1, 7, marks=pytest.mark.nightly),
     ],
 )
-def test_whatever_is_lost_late_doubled_or_crashes_the_gate_can_have_caused(faults, cycles):
+def test_losses_delays_duplicates_and_crashes_give_no_impossible_state(faults, cycles):
     system = System()
     assert explore(system, faults, cycles).counterexample is None
     assert system._sim.taken > 0

@@ -26,7 +26,7 @@ def run(lab, controller, *faults, duration_s=2.0, **more):
 
 
 @pytest.mark.long
-def test_a_link_that_is_cut_costs_an_open_loop_its_goal_and_a_closed_one_nothing(lab):
+def test_a_cut_link_costs_only_an_open_loop_controller_its_goal(lab):
     cut = fault("link_cut", at_s=0.5, for_s=0.1)
     assert run(lab, Ramp).ended_at(goal_of(CellUnderTest(lab)), within=0.01)
     missed = run(lab, Ramp, cut)
@@ -39,7 +39,7 @@ def test_a_link_that_is_cut_costs_an_open_loop_its_goal_and_a_closed_one_nothing
 
 
 @pytest.mark.long
-def test_a_controller_that_stands_still_is_held_at_rest_and_goes_on_after_the_operator(lab):
+def test_a_frozen_controller_is_held_at_rest_and_resumes_after_the_operator(lab):
     cell = run(lab, ClosedRamp, fault("controller_frozen", at_s=0.5, for_s=1.2), duration_s=1.6)
     assert (cell.phase, cell.reason) == (Phase.HELD, "controller_lost")
     cell.run(0.4)
@@ -52,7 +52,7 @@ def test_a_controller_that_stands_still_is_held_at_rest_and_goes_on_after_the_op
 
 
 @pytest.mark.long
-def test_a_new_process_begins_with_a_new_object_of_a_class_and_a_function_goes_on(lab):
+def test_a_restarted_process_gets_a_new_object_of_a_class_and_the_same_function(lab):
     made, called = [], []
 
     class Counting(ClosedRamp):
@@ -93,7 +93,7 @@ def test_an_error_of_a_controller_is_raised(lab):
     ],
     ids=["short", "text", "number", "nan", "map"],
 )
-def test_an_answer_that_is_no_increment_is_refused_by_the_hli_and_moves_nothing(lab, dq, reason):
+def test_an_invalid_answer_is_refused_by_the_hli_and_moves_nothing(lab, dq, reason):
     cell = run(lab, lambda state: dq, duration_s=0.5)
     assert cell.refusals[reason] > 30
     assert cell.verdicts["admitted"] == 0
@@ -106,7 +106,7 @@ def test_a_state_may_be_left_unanswered(lab):
 
 
 @pytest.mark.long
-def test_a_controller_that_asks_for_too_much_is_scaled_and_passes_nothing(lab):
+def test_an_excessive_request_is_scaled_within_limits(lab):
     cell = run(lab, lambda state: np.full(6, 0.5), duration_s=1.5)
     assert cell.kept_clear()
     assert cell.kept_limits()
@@ -133,7 +133,7 @@ def test_a_setpoint_beyond_a_limit_is_found(lab):
     assert "fr: 6 setpoints beyond a joint limit" in repr(finding)
 
 
-def test_a_controller_of_the_house_sees_the_other_robot_and_both_can_be_driven(lab):
+def test_a_controller_of_deltaq_sees_the_other_robot_and_both_can_be_driven(lab):
     seen = []
 
     class Follows:
@@ -162,7 +162,7 @@ def test_one_seed_is_one_run(lab):
 
 
 @pytest.mark.long
-def test_a_lease_that_is_refused_late_does_not_take_away_the_one_that_was_granted(lab):
+def test_a_late_refusal_does_not_revoke_a_granted_lease(lab):
     # as hypothesis shrank it: the request is overtaken by the next one, which is granted
     overtaken = fault("link_reordering", at_s=0, for_s=0.024)
     doubled = fault("link_duplicating", at_s=0.12, for_s=0.012)
@@ -170,7 +170,7 @@ def test_a_lease_that_is_refused_late_does_not_take_away_the_one_that_was_grante
     assert cell.ended_at(goal_of(cell), within=0.01)
 
 
-def test_the_tracking_error_is_that_of_the_joint_that_is_furthest_off(lab):
+def test_the_tracking_error_is_the_greatest_of_all_joints(lab):
     cell = run(lab, lambda state: [0.0] * 6, duration_s=0.5)
     error = cell.tracking_error(lambda time_s: cell.model.robots["fr"].home + np.eye(6)[2] * time_s)
     assert (error.max, error.final) == pytest.approx((0.504, 0.504), abs=1e-3)
@@ -199,7 +199,7 @@ def test_nonsensical_options_are_refused(lab):
         cell.rested_within(4)
 
 
-def test_a_krc_that_cannot_suffer_a_fault_any_more_is_noted_and_the_run_goes_on(lab):
+def test_a_fault_without_effect_on_a_krc_is_noted_and_the_run_continues(lab):
     off = fault("krc_drives_off", at_s=0.2, for_s=0.1)
     cell = run(lab, Ramp, off, fault("krc_restarted", at_s=0.6, for_s=0.1), duration_s=1.0)
     assert any("krc-restarted begins without effect: " in what for _, what in cell.events)

@@ -23,7 +23,7 @@ class Timid:
         return replace(decision, outcome=Outcome.HELD, scale=0.0, reasons=(reason,))
 
 
-def test_refusals_without_cause_are_found_with_the_room_that_was_left():
+def test_unnecessary_refusals_are_found_with_their_remaining_clearance():
     stack = VirtualCell("lab")
     stack.sim.gate = auditor = Auditor(Timid(stack.sim.gate), stack.cell, every=1, samples=5)
     stack.run_until_ready()
@@ -45,7 +45,7 @@ def test_most_refusals_of_adversaries_are_confirmed():
     assert figures.excess_mm["most"] < 20.0
 
 
-def test_figures_of_several_runs_add_up():
+def test_figures_of_several_runs_are_summed():
     one = ConservatismFigures(10, 3, (-0.001, 0.002))
     both = one + ConservatismFigures(5, 2, (-0.003,))
     assert (both.decisions, both.bound_by_clearance, both.confirmed) == (15, 5, 2)

@@ -46,7 +46,7 @@ def program(each_state="pass"):
 
 
 @pytest.mark.long
-def test_every_state_is_answered_however_long_the_program_thinks(cell):
+def test_every_state_is_answered_by_a_program_of_any_slowness(cell):
     cell.drive_process(program("time.sleep(0.05 * (seq == 5))"))
     cell.run(0.5)
     assert cell.verdicts == {"admitted": 40, "scaled": 2}
@@ -54,7 +54,7 @@ def test_every_state_is_answered_however_long_the_program_thinks(cell):
 
 
 @pytest.mark.long
-def test_a_program_gives_the_same_run_as_a_function_that_does_the_same(lab, cell):
+def test_a_program_and_an_equal_function_give_the_same_run(lab, cell):
     cut = fault("link_cut", at_s=0.2, for_s=0.1)
     cell.drive_process(program())
     function = CellUnderTest(lab)
@@ -85,7 +85,7 @@ def test_a_lease_renewal_is_an_answer_too(cell):
     assert cell.phase == "ready"
 
 
-def test_lines_that_are_no_messages_are_refused_and_stop_nothing(cell):
+def test_malformed_lines_are_refused_and_the_run_continues(cell):
     cell.drive_process(
         program("server.sendall([b'{}', b'[1', b'{\"type\": 3}'][seq % 3] + b'\\n'); continue")
     )
@@ -93,7 +93,7 @@ def test_lines_that_are_no_messages_are_refused_and_stop_nothing(cell):
     assert cell.refusals["malformed"] > 20
 
 
-def test_a_program_that_ends_is_a_controller_that_is_lost(cell):
+def test_an_ended_program_is_a_lost_controller(cell):
     cell.drive_process(program("sys.exit() if seq == 10 else None"))
     cell.run(0.3)
     assert cell.reason == "controller_lost"
@@ -118,7 +118,7 @@ def test_a_program_that_ends_is_a_controller_that_is_lost(cell):
     ],
     ids=["no program", "ends", "silent", "nothing"],
 )
-def test_a_program_that_does_not_answer_ends_the_run_with_what_to_do(cell, command, told):
+def test_a_silent_program_ends_the_run_with_a_remedy(cell, command, told):
     # to connect, a program on a busy machine may need longer than nobody waits for one that has ended
     patience_s = 20.0 if "said nothing" in told else 0.5
 

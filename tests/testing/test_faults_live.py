@@ -15,7 +15,7 @@ pytestmark = pytest.mark.live
 
 
 @pytest.mark.nightly
-def test_a_frozen_gate_and_a_dead_robot_server_are_survived_by_real_processes(tmp_path):
+def test_real_processes_survive_a_frozen_gate_and_a_dead_robot_server(tmp_path):
     file = write_private_cell(tmp_path)
     faults = [fault_named("robot-server-dead"), fault_named("sim-frozen")]
     dead, frozen = live_table(file, "fr", faults=faults).rows
@@ -35,7 +35,7 @@ def test_a_time_of_day_set_back_brakes_no_robot(tmp_path):
 
 
 @pytest.mark.nightly
-def test_an_hli_whose_clock_leaps_has_the_robot_held_though_its_sessions_broke_as_it_said_so(tmp_path):
+def test_a_jumping_clock_of_the_hli_holds_the_robot_despite_broken_sessions(tmp_path):
     faults = [fault_named("hli-clock-forward")]
     (row,) = live_table(write_private_cell(tmp_path), "fr", faults=faults).rows
     assert (row.good, row.phase, row.reason) == (True, "held", "controller_lost")
@@ -44,12 +44,12 @@ def test_an_hli_whose_clock_leaps_has_the_robot_held_though_its_sessions_broke_a
 
 @pytest.mark.nightly
 @pytest.mark.timeout(0)
-def test_no_fault_of_a_real_process_passes_a_limit_or_touches(tmp_path):
+def test_no_fault_of_a_real_process_breaks_a_limit_or_a_distance(tmp_path):
     table = live_table(write_private_cell(tmp_path), "fr", faults=CATALOGUE)
     assert [row.fault for row in table.rows if not row.good] == []
 
 
-def test_a_fault_is_injected_into_a_cell_that_is_up_and_lifted_again(ready_stack):
+def test_a_fault_is_injected_into_a_running_cell_and_lifted(ready_stack):
     command = [
         PROGRAM,
         "fault",

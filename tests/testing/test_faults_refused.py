@@ -11,7 +11,7 @@ from deltaq_testing.private_cell import write_private_cell
 from studies.live_faults.run import live_table
 
 
-def test_a_fault_that_no_panel_can_inject_is_refused_before_anything_is_asked():
+def test_a_fault_beyond_the_panel_is_refused_without_a_request():
     with pytest.raises(UnknownFaultError, match=r"sim-dead cannot be injected .* allowed are krc-cut, "):
         inject(fault_named("sim-dead"), load_cell("lab"), "fr", 0.0)
 
@@ -26,12 +26,12 @@ def test_a_fault_that_no_panel_can_inject_is_refused_before_anything_is_asked():
         ("krc-server-cut", run_table, "virtual"),
     ],
 )
-def test_a_fault_that_cannot_be_had_this_way_is_told(name, run, way):
+def test_a_fault_that_cannot_be_injected_this_way_is_reported(name, run, way):
     with pytest.raises(UnknownFaultError, match=f"none of these faults .*{way}"):
         run("lab", "fr", faults=[fault_named(name)])
 
 
-def test_a_cell_that_is_not_up_is_told(tmp_path):
+def test_a_cell_that_is_not_running_is_reported(tmp_path):
     description = load_cell(write_private_cell(tmp_path))
     with pytest.raises(ServiceUnreachableError):
         inject(fault_named("krc-hiccup"), description, "fr", 0.0)

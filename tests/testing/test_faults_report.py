@@ -40,12 +40,12 @@ def test_a_brake_is_measured_from_the_fault_to_the_last_increment(robot):
     assert motion.travel_tool_m > 0
 
 
-def test_a_robot_that_moves_to_the_end_has_no_rest(robot):
+def test_a_robot_in_motion_until_the_end_has_no_rest_time(robot):
     motion = motion_after(robot, setpoints(robot, [CRUISE] * 30), CYCLE_S, CRUISE)
     assert (motion.braked_after_cycles, motion.rest_after_s) == (None, None)
 
 
-def test_an_abrupt_stop_is_good_only_where_the_krc_got_no_reply_or_sent_what_the_wire_altered(robot):
+def test_an_abrupt_stop_is_good_only_without_a_reply_or_with_an_altered_telegram(robot):
     steps = [CRUISE] * 10 + [0.0] * 10
     changes = [steps[0], *np.diff(steps)]
     assert max(np.abs(changes)) > robot.max_acceleration[0] * CYCLE_S**2
@@ -61,7 +61,7 @@ def test_a_step_beyond_the_velocity_limit_is_never_good(robot):
     assert not is_good(judge(robot, [fast] * 5, unanswered=100), STOP_DISTANCES_M)
 
 
-def test_altered_replies_are_judged_by_the_krc_and_distances_all_the_same(robot):
+def test_with_altered_replies_only_distances_are_judged(robot):
     fast = [robot.max_velocity[0] * CYCLE_S * 1.1] * 5
     for near, good in (((0.1, 0.1), True), ((0.049, 0.1), False), ((0.1, 0.019), False)):
         altered = judge(robot, fast, near=near, protest="Command gear torque", altered_replies=True)
@@ -69,16 +69,16 @@ def test_altered_replies_are_judged_by_the_krc_and_distances_all_the_same(robot)
 
 
 @pytest.mark.parametrize("near", [(0.049, 0.1), (0.1, 0.019)])
-def test_bodies_that_came_too_near_are_not_good(robot, near):
+def test_too_near_bodies_are_not_good(robot, near):
     assert not is_good(judge(robot, [0.0] * 5, near=near), STOP_DISTANCES_M)
 
 
-def test_a_setpoint_that_the_krc_refused_is_not_good(robot):
+def test_a_setpoint_refused_by_the_krc_is_not_good(robot):
     refused = str(KrcMessage(Code.GEAR_TORQUE, "A1", 12495.0, 10416.0, "deg"))
     assert pendant_message(refused) == refused
     assert not is_good(judge(robot, [0.0] * 5, protest=pendant_message(refused)), STOP_DISTANCES_M)
 
 
 @pytest.mark.parametrize("code", [Code.LATE_PACKETS, Code.OPERATOR_STOP, Code.DRIVES_OFF])
-def test_an_operator_or_a_lost_link_is_no_refusal_of_a_setpoint(code):
+def test_a_stop_by_an_operator_or_a_lost_link_is_no_refused_setpoint(code):
     assert pendant_message(str(KrcMessage(code, "", 101, 100))) is None

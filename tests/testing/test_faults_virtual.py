@@ -68,7 +68,7 @@ def assert_braked_at_once_along_the_brake(row, cycle_s=0.012):
         ("sim-server-cut", "gate_lost", 0.6, "reset"),
     ],
 )
-def test_a_loss_brakes_the_robot_at_once_and_holds_it_with_its_name(lab, name, reason, named_s, recovery):
+def test_a_loss_brakes_the_robot_at_once_and_holds_it_with_its_reason(lab, name, reason, named_s, recovery):
     row = run_fault(fault_named(name), lab, "fr")
     assert_braked_at_once_along_the_brake(row)
     assert (row.phase, row.reason, row.recovery) == ("held", reason, recovery)
@@ -87,7 +87,7 @@ def test_a_loss_brakes_the_robot_at_once_and_holds_it_with_its_name(lab, name, r
         ("sim-dead", 1),
     ],
 )
-def test_with_a_lookahead_what_is_in_flight_is_driven_first_and_a_stop_is_as_quick(
+def test_with_a_lookahead_admissions_in_flight_are_executed_first_and_a_stop_is_as_quick(
     lab, ahead, name, later_cycles
 ):
     row, before = run_fault(fault_named(name), ahead, "fr"), run_fault(fault_named(name), lab, "fr")
@@ -98,35 +98,35 @@ def test_with_a_lookahead_what_is_in_flight_is_driven_first_and_a_stop_is_as_qui
 
 
 @pytest.mark.long
-def test_with_a_lookahead_a_gate_that_is_a_cycle_late_costs_nothing(ahead):
+def test_with_a_lookahead_a_gate_one_cycle_late_costs_nothing(ahead):
     row = run_fault(fault_named("sim-slow"), ahead, "fr")
     assert row.good
     assert (row.phase, row.motion.braked_after_cycles) == ("engaged", None)
 
 
 @pytest.mark.long
-def test_increments_of_nan_brake_the_robot_and_their_sender_keeps_it_and_goes_on(lab):
+def test_increments_of_nan_brake_the_robot_and_their_sender_keeps_the_lease(lab):
     row = run_fault(fault_named("controller-nan-flood"), lab, "fr")
     assert_braked_at_once_along_the_brake(row)
     assert (row.phase, row.reason, row.recovery) == ("ready", None, BY_ITSELF)
 
 
 @pytest.mark.long
-def test_a_gate_that_answers_too_late_is_no_gate_and_its_robot_goes_on_when_it_is_quick_again(lab):
+def test_a_slow_gate_counts_as_lost_and_its_robot_resumes_with_a_quick_one(lab):
     row = run_fault(fault_named("sim-slow"), lab, "fr")
     assert_braked_at_once_along_the_brake(row)
     assert (row.phase, row.reason, row.recovery) == ("ready", None, BY_ITSELF)
 
 
 @pytest.mark.long
-def test_a_leap_of_the_controller_passes_no_limit(lab):
+def test_a_jump_of_the_controller_exceeds_no_limit(lab):
     row = run_fault(fault_named("controller-leap"), lab, "fr")
     assert row.good
     assert row.kept.abrupt_cycles == 0
 
 
 @pytest.mark.long
-def test_after_a_dead_robot_server_its_robot_is_braked_all_the_same(lab):
+def test_the_robot_of_a_dead_robot_server_is_braked(lab):
     row = run_fault(fault_named("robot-server-dead"), lab, "fr")
     assert row.good
     assert 0.03 < row.motion.rest_after_s < 0.1
@@ -135,7 +135,7 @@ def test_after_a_dead_robot_server_its_robot_is_braked_all_the_same(lab):
 
 
 @pytest.mark.long
-def test_replies_that_are_lost_make_the_robot_stand_for_a_cycle_and_never_jump(lab):
+def test_lost_replies_stop_the_robot_for_a_cycle_without_a_jump(lab):
     row = run_fault(fault_named("krc-replies-lost"), lab, "fr")
     assert row.good
     assert 0 < row.kept.abrupt_cycles <= 2 * row.kept.unanswered_cycles
@@ -143,14 +143,14 @@ def test_replies_that_are_lost_make_the_robot_stand_for_a_cycle_and_never_jump(l
 
 
 @pytest.mark.long
-def test_telegrams_that_come_twice_change_nothing(lab):
+def test_duplicated_telegrams_change_nothing(lab):
     row = run_fault(fault_named("krc-duplicating"), lab, "fr")
     assert row.good
     assert row.motion.braked_after_cycles is None
 
 
 @pytest.mark.long
-def test_a_restarted_robot_server_is_not_reset_by_an_earlier_reset(lab):
+def test_an_earlier_reset_does_not_reset_a_restarted_robot_server(lab):
     stack = VirtualCell(lab)
     arm = stack.arms["fr"]
 
@@ -204,7 +204,7 @@ def test_a_delayed_reset_releases_no_robot(lab):
     "fault", [fault for fault in CATALOGUE if fault.virtual], ids=lambda fault: fault.name
 )
 @pytest.mark.parametrize("lookahead_cycles", [1, 2, 3])
-def test_no_fault_passes_a_limit_or_touches_and_after_each_the_robot_moves_again(
+def test_no_fault_breaks_a_limit_or_a_distance_and_the_robot_moves_again_after_each(
     with_lookahead, lookahead_cycles, fault
 ):
     assert run_fault(fault, with_lookahead[lookahead_cycles], "fr").good
@@ -212,7 +212,7 @@ def test_no_fault_passes_a_limit_or_touches_and_after_each_the_robot_moves_again
 
 @pytest.mark.nightly
 @pytest.mark.timeout(0)
-def test_the_table_in_the_documents_is_what_the_command_prints():
+def test_the_table_in_the_documents_agrees_with_the_command():
     page = Path(__file__).parents[2] / "docs" / "notes" / "fault-table.md"
     assert markdown(run_table("lab")) in page.read_text(encoding="utf-8")
 
@@ -221,11 +221,11 @@ def test_names_in_the_catalogue_are_unique():
     assert len({fault.name for fault in CATALOGUE}) == len(CATALOGUE)
 
 
-def test_a_cell_without_krcs_is_refused_with_what_to_do():
+def test_a_cell_without_krcs_is_refused_with_a_remedy():
     with pytest.raises(UnknownFaultError, match=r"driver is 'kinematic'.*--cell lab"):
         load_rsi_cell("dawm")
 
 
-def test_a_robot_that_the_cell_does_not_have_is_refused():
+def test_an_unknown_robot_is_refused():
     with pytest.raises(UnknownFaultError, match="no robot 'r2' in cell lab; it has fr, gr"):
         run_table("lab", "r2", faults=[fault_named("operator-stop")])

@@ -25,7 +25,7 @@ FAULTS = st.builds(
 
 @pytest.mark.long
 @given(st.lists(st.tuples(FAULTS, st.binary(min_size=1), st.floats(0, 0.5))), st.integers(0, 99))
-def test_whatever_is_done_to_a_stream_its_bytes_all_arrive_in_their_order_and_none_early(sent, seed):
+def test_an_impaired_stream_delivers_all_bytes_in_order_and_none_early(sent, seed):
     stream, now_s, arrived, due_s = FaultyStream(seed), 0.0, [], 0.0
     for faults, chunk, pause_s in sent:
         stream.faults = faults
@@ -41,7 +41,7 @@ def test_whatever_is_done_to_a_stream_its_bytes_all_arrive_in_their_order_and_no
     assert stream.waiting_bytes == 0
 
 
-def test_bytes_of_a_stalled_stream_are_kept_and_come_all_at_once():
+def test_a_stalled_stream_keeps_its_bytes_and_delivers_them_at_once():
     stream = FaultyStream()
     stream.put(0.0, b"before")
     assert stream.take(0.0) == [b"before"]
@@ -77,7 +77,7 @@ def test_one_seed_is_one_run():
 
 
 @given(st.lists(st.binary(max_size=20)))
-def test_lines_arrive_whole_however_they_were_cut_up(chunks):
+def test_split_lines_arrive_complete(chunks):
     lines = FaultyLines()
     for chunk in chunks:
         lines.put(0.0, chunk)
@@ -86,7 +86,7 @@ def test_lines_arrive_whole_however_they_were_cut_up(chunks):
     assert lines.waiting_bytes == len(rest)
 
 
-def test_lines_are_lost_and_doubled_as_a_whole():
+def test_lines_are_lost_and_duplicated_as_a_whole():
     lines = FaultyLines(seed=3)
     lines.faults = LinkFaults(drop=0.3, duplicate=0.3)
     sent = [f"{k}\n".encode() for k in range(1000)]
@@ -97,7 +97,7 @@ def test_lines_are_lost_and_doubled_as_a_whole():
     assert len(arrived) > len(set(arrived)) + 100
 
 
-def test_a_line_that_never_ends_does_not_fill_the_memory():
+def test_an_endless_line_does_not_fill_the_memory():
     lines = FaultyLines()
     for _ in range(5):
         lines.put(0.0, b"x" * (MAX_WAITING_BYTES // 2))
@@ -105,14 +105,14 @@ def test_a_line_that_never_ends_does_not_fill_the_memory():
     assert sum(map(len, lines.take(0.0))) == 2 * MAX_WAITING_BYTES
 
 
-def test_a_stream_that_should_lose_something_is_refused():
+def test_losses_in_a_byte_stream_are_refused():
     with pytest.raises(InvalidFaultError, match="loss does not apply to bytes, only to lines"):
         wire_faults(TrafficUnit.BYTES, {"drop": 0.1})
     with pytest.raises(InvalidFaultError, match="a stall does not apply to lines, only to bytes"):
         wire_faults(TrafficUnit.LINES, {"stalled": True})
 
 
-def test_datagrams_over_tcp_are_refused_and_told():
+def test_datagrams_over_tcp_are_refused():
     udp, tcp = Endpoint.parse("udp/127.0.0.1:1"), Endpoint.parse("tcp/127.0.0.1:1")
     with pytest.raises(InvalidEndpointError, match=r"tcp/127.0.0.1:1: datagrams travel over udp"):
         relay(udp, tcp, TrafficUnit.DATAGRAMS)

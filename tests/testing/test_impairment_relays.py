@@ -51,7 +51,7 @@ async def test_a_relay_carries_megabytes_both_ways_and_the_end_of_the_connection
 
 
 @pytest.mark.parametrize("unit", [TrafficUnit.BYTES, TrafficUnit.MESSAGES])
-async def test_a_relay_stands_between_unix_sockets(unit):
+async def test_a_relay_connects_unix_sockets(unit):
     """Two zenoh sessions, as HLI and SIM are; what comes over the relay is as it was."""
     with TemporaryDirectory(dir="/tmp") as folder:
         to, listen = (Endpoint("unixsock-stream", f"{folder}/{name}.sock", 0) for name in ("sim", "relay"))
@@ -68,7 +68,7 @@ async def test_a_relay_stands_between_unix_sockets(unit):
         listener.close()
 
 
-async def test_bytes_of_a_wire_that_stands_still_arrive_when_it_does_no_more():
+async def test_a_stalled_wire_delivers_its_bytes_after_the_stall():
     async with asyncio.timeout(300), echo_behind_a_relay(TrafficUnit.BYTES) as (running, reader, writer):
         writer.write(b"before")
         assert await reader.readexactly(6) == b"before"
@@ -81,7 +81,7 @@ async def test_bytes_of_a_wire_that_stands_still_arrive_when_it_does_no_more():
         assert await reader.readexactly(6) == b"during"
 
 
-async def test_a_sender_is_held_back_by_a_wire_that_stands_still_instead_of_filling_the_memory():
+async def test_a_stalled_wire_blocks_its_sender_and_does_not_fill_the_memory():
     async with asyncio.timeout(300), echo_behind_a_relay(TrafficUnit.BYTES) as (running, _, writer):
         running.impair(StreamFaults(stalled=True))
         writer.write(b"x" * 40_000_000)
@@ -92,7 +92,7 @@ async def test_a_sender_is_held_back_by_a_wire_that_stands_still_instead_of_fill
         assert 0 < carrier._direction.waiting_bytes < 2**21
 
 
-async def test_a_cut_breaks_the_connection_and_refuses_new_ones_until_it_is_over():
+async def test_a_cut_breaks_the_connection_and_refuses_new_ones_until_its_end():
     async with asyncio.timeout(300), echo_behind_a_relay(TrafficUnit.BYTES) as (running, reader, writer):
         writer.write(b"x")
         await reader.readexactly(1)
@@ -111,7 +111,7 @@ async def test_a_cut_breaks_the_connection_and_refuses_new_ones_until_it_is_over
         to_relay.transport.abort()
 
 
-async def test_a_server_that_is_not_there_ends_the_clients_connection():
+async def test_a_missing_server_ends_the_connection_of_the_client():
     listen = tcp()
     async with asyncio.timeout(300), relay(listen, tcp(), TrafficUnit.BYTES):
         reader, writer = await asyncio.open_connection(HERE, listen.port)
@@ -133,7 +133,7 @@ async def test_lines_are_lost_and_the_connection_lives():
         assert 40 < len(arrived) < 200  # a half of a half
 
 
-async def test_datagrams_of_several_senders_are_carried_and_answered_apart():
+async def test_datagrams_of_several_senders_are_carried_and_answered_separately():
     loop = asyncio.get_running_loop()
     with socket.socket(type=socket.SOCK_DGRAM) as server:
         server.bind((HERE, 0))
@@ -161,7 +161,7 @@ async def test_datagrams_of_several_senders_are_carried_and_answered_apart():
                 assert 25 < len(arrived[::2]) < 75
 
 
-async def test_messages_of_zenoh_sessions_are_carried_both_ways_and_doubled_one_by_one():
+async def test_zenoh_messages_are_carried_both_ways_and_duplicated_one_by_one():
     listen, to = tcp(), tcp()
     server = open_session(listen=[str(to)])
     async with asyncio.timeout(300), relay(listen, to, TrafficUnit.MESSAGES) as running:
@@ -193,7 +193,7 @@ async def test_messages_of_zenoh_sessions_are_carried_both_ways_and_doubled_one_
 
 
 @pytest.mark.service
-def test_a_relay_in_a_process_of_its_own_obeys_and_a_port_that_is_taken_is_told():
+def test_a_relay_process_obeys_and_a_used_port_is_reported():
     listen, to = tcp(), tcp()
     with (
         socket.create_server((HERE, to.port)) as server,

@@ -102,7 +102,7 @@ def run(lab, seed, jitter, keeps=True):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("jitter", [SLOW_CONTROLLER, SLOW_GATE])
-def test_late_answers_cost_hardly_a_cycle_where_each_cost_one(lab, jitter):
+def test_late_answers_cost_few_cycles_if_they_are_carried_over(lab, jitter):
     with_hand = [run(lab, seed, jitter) for seed in SEEDS]
     without = [run(lab, seed, jitter, keeps=False) for seed in SEEDS]
     assert sum(one.braked for one in without) >= 15  # else there was no jitter
@@ -111,7 +111,7 @@ def test_late_answers_cost_hardly_a_cycle_where_each_cost_one(lab, jitter):
     assert all(kept.braked <= lost.braked for kept, lost in zip(with_hand, without, strict=True))
 
 
-def test_a_client_is_told_which_cycle_each_of_its_increments_went_into(lab):
+def test_a_client_learns_the_cycle_of_each_of_its_increments(lab):
     seen = run(lab, 3, SLOW_GATE)
     first, last = min(seen.fresh), max(seen.fresh)
     told = [cycle for cycle in seen.setpoint_cycles.values() if first <= cycle <= last]

@@ -100,7 +100,7 @@ class Ticking(KrcSide):
         (0.004, 0.012, {}, "ticks every 12.0 ms by its IPOC and 12.0 ms by the clock, the cell says 4.0 ms"),
     ],
 )
-def test_a_krc_with_another_cycle_is_held_by_name_and_drives_nothing(cell_s, krc_s, settings, told):
+def test_a_krc_with_another_cycle_is_held_with_its_reason(cell_s, krc_s, settings, told):
     krc = Ticking(cell_s, krc_s, **settings).run(4.0)
     assert (krc.server.state.phase, krc.reason) == (Phase.HELD, ReasonCode.CYCLE_MISMATCH)
     assert told in krc.server.detail
@@ -126,7 +126,7 @@ def test_a_krc_with_another_cycle_is_held_by_name_and_drives_nothing(cell_s, krc
     ],
     ids=["clean", "jitter", "lossy", "bursts"],
 )
-def test_jitter_losses_and_bursts_are_no_other_cycle_and_the_arm_moves_as_asked(cycle_s, faults, pauses):
+def test_jitter_losses_and_bursts_are_not_another_cycle(cycle_s, faults, pauses):
     krc = Ticking(cycle_s, cycle_s).run(2.0)
     assert krc.server.state.phase in MAY_MOVE
     krc.wire.faults, krc.pauses = faults, pauses
@@ -145,7 +145,7 @@ def test_a_slow_machine_is_not_another_cycle():
     assert krc.fastest <= ASKED.max()
 
 
-def test_a_krc_that_ticks_faster_while_it_runs_is_held():
+def test_a_krc_that_becomes_faster_is_held():
     krc = Ticking(0.012, 0.012, ipoc_step=1).run(3.0)
     assert krc.server.state.phase in MAY_MOVE
     krc.pace = 3.0

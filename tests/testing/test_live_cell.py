@@ -60,7 +60,7 @@ def test_stop_on_the_same_cell(live_cell):
 
 @pytest.mark.nightly
 @pytest.mark.live
-def test_a_session_has_one_live_cell_which_is_made_ready_again_between_tests(pytester):
+def test_a_test_session_has_one_live_cell_that_is_made_ready_between_tests(pytester):
     pytester.makepyfile(program=PROGRAM, test_live=TESTS)
     result = pytester.runpytest(
         "-p", "deltaq_testing.plugin", "-p", "no:asyncio", "-p", "no:cacheprovider", "test_live.py"

@@ -61,7 +61,7 @@ def takes_long(row):
     [pytest.param(row, marks=pytest.mark.nightly if takes_long(row) else ()) for row in tabulated()],
     ids=lambda row: "-".join(f"{title} {cell}" for title, cell in row.items()),
 )
-def test_every_property_holds_in_the_states_that_the_page_tells(row):
+def test_every_property_holds_in_the_documented_states(row):
     faults, attacks = int(row["faults"]), row.get("attacks")
     system = System(int(row.get("lookahead", 1))) if attacks is None else AttackedSystem(int(attacks))
     bounded = row["cycles"] != "any number"
@@ -71,7 +71,7 @@ def test_every_property_holds_in_the_states_that_the_page_tells(row):
     assert (found.states, found.moves) == (int(row["states"]), int(row["moves"]))
 
 
-def test_no_table_of_the_page_is_missed():
+def test_every_table_of_the_page_is_checked():
     assert len(tabulated()) == 9
 
 
@@ -81,7 +81,7 @@ def test_no_table_of_the_page_is_missed():
     documented(),
     ids=[line.partition("model ")[2] for line in documented()],
 )
-def test_a_documented_command_finds_every_property_to_hold(line):
+def test_the_documented_commands_find_every_property_true(line):
     command = [sys.executable, *shlex.split(line)[1:]]
     ended = subprocess.run([*command, "--json"], capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr
@@ -97,7 +97,7 @@ def test_a_documented_command_finds_every_property_to_hold(line):
     ],
     ids=lambda broken: broken.system.__name__,
 )
-def test_a_broken_system_is_found_out(broken):
+def test_a_broken_system_is_detected(broken):
     found = explore(broken.system(), broken.faults, cycles=10)
     assert found.counterexample is not None
     assert found.counterexample.violation.broken is broken.breaks
@@ -109,7 +109,7 @@ def test_a_broken_system_is_found_out(broken):
     [one for one in BROKEN if issubclass(one.system, AttackedSystem)],
     ids=lambda broken: broken.system.__name__,
 )
-def test_the_system_that_is_not_broken_holds_further_than_a_broken_one_is_followed(broken):
+def test_the_intact_system_holds_beyond_the_depth_of_every_counterexample(broken):
     found = explore(broken.system(), broken.faults, cycles=10)
     assert found.counterexample is not None
     assert explore(AttackedSystem(), broken.faults, found.cycles + 1).counterexample is None
@@ -172,7 +172,7 @@ def _changed_peers(line):
 
 
 @pytest.mark.parametrize("changed", [_changed_sessions, _changed_drivers, _changed_peers])
-def test_two_moments_of_the_wire_that_differ_in_one_memory_are_told_apart(changed):
+def test_states_of_the_wire_that_differ_in_one_field_are_distinguished(changed):
     system = AttackedSystem(1)
     system_state = system.start(0)
     assert system.start(0).key() == system_state.key()
@@ -181,7 +181,7 @@ def test_two_moments_of_the_wire_that_differ_in_one_memory_are_told_apart(change
         assert other.key() != system_state.key(), change
 
 
-def test_two_moments_of_the_wire_that_differ_in_the_correction_of_an_earlier_session_are_told_apart():
+def test_states_of_the_wire_that_differ_in_an_earlier_correction_are_distinguished():
     system_state = AttackedSystem(1).start(0)
     line, driver = system_state.line, system_state.line.driver
     keys = {
@@ -197,7 +197,7 @@ def test_two_moments_of_the_wire_that_differ_in_the_correction_of_an_earlier_ses
 
 
 @pytest.mark.long
-def test_a_counterexample_is_a_shortest_way():
+def test_a_counterexample_is_a_shortest_path():
     late = next(broken for broken in BROKEN if broken.system.__name__ == "LateIsTaken")
     found = explore(late.system(), late.faults, cycles=10).counterexample
     assert found is not None
@@ -245,7 +245,7 @@ def test_the_state_key_covers_all_memory_of_the_robot_server():
 
 
 @pytest.mark.parametrize("system", [System, AttackedSystem])
-def test_the_explored_robot_has_a_mode_that_remembers_nothing(system):
+def test_the_explored_robot_has_a_mode_without_memory(system):
     system_state = system().start(0)
     while system_state.server.state is None:
         system_state = next(system().moves(system_state)).system_state
@@ -255,7 +255,7 @@ def test_the_explored_robot_has_a_mode_that_remembers_nothing(system):
 
 @pytest.mark.long
 @pytest.mark.nightly
-def test_the_command_prints_what_it_found_and_ends_with_1_for_a_counterexample():
+def test_the_command_prints_its_findings_and_exits_with_1_for_a_counterexample():
     command = [sys.executable, "-m", "deltaq_proofs.model_checker", "--json", "--broken", "LateIsTaken"]
     ended = subprocess.run([*command, "--cycles", "4"], capture_output=True, text=True, check=False)
     assert ended.returncode == 1, ended.stderr

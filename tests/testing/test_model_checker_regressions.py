@@ -61,7 +61,7 @@ def pair():
     return pair
 
 
-def test_a_stop_holds_and_a_reset_frees(pair):
+def test_a_stop_holds_and_a_reset_releases(pair):
     pair.command("stop")
     assert pair.cycles() is Phase.HELD
     pair.command("reset")
@@ -76,7 +76,7 @@ def test_a_stop_right_after_a_reset_holds(pair):
     assert pair.cycles() is Phase.HELD
 
 
-def test_a_restarted_robot_server_takes_no_old_reset_for_a_new_one(pair):
+def test_a_restarted_robot_server_obeys_no_old_reset(pair):
     pair.command("stop")
     pair.cycles()
     pair.command("reset")
@@ -99,7 +99,7 @@ def test_a_restarted_robot_server_is_held_even_if_its_first_states_are_lost(pair
     assert pair.server.state.reason is ReasonCode.SERVER_LOST
 
 
-def test_a_state_of_a_robot_server_that_has_ended_is_not_believed_any_more(pair):
+def test_a_state_of_an_ended_robot_server_is_ignored(pair):
     old = pair.server.state
     pair.start_server()
     pair.cycles()

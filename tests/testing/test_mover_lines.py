@@ -10,7 +10,7 @@ import threading
 from deltaq_testing.faults import mover
 
 
-def test_the_mover_numbers_the_increments_that_it_sends_and_no_others() -> None:
+def test_the_mover_numbers_only_its_sent_increments() -> None:
     """States that come before the lease have no answer, and take no number: who counts verdicts would miss them."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         moving = threading.Thread(target=_move, args=(listener.getsockname()[1],))

@@ -13,7 +13,7 @@ FR = CELL.robots["fr"]
 HOMES = {name: robot.home for name, robot in CELL.robots.items()}
 
 
-def test_a_robot_in_the_floor_is_seen():
+def test_a_robot_in_the_floor_is_found():
     q = FR.home.copy()
     q[1] = np.deg2rad(30)
     near = ClearanceOracle(CELL).between_robots_and_structure(HOMES | {"fr": q})
@@ -21,7 +21,7 @@ def test_a_robot_in_the_floor_is_seen():
     assert "structure/floor" in near.pair
 
 
-def test_distances_do_not_depend_on_what_was_measured_before():
+def test_distances_do_not_depend_on_earlier_measurements():
     oracle = ClearanceOracle(CELL)
     first = oracle.between_robots_and_structure(HOMES)
     oracle.between_robots_and_structure(HOMES | {"fr": FR.home + 0.3})
@@ -88,12 +88,12 @@ def test_along_a_motion_few_pairs_are_measured(monkeypatch):
         ("acceleration", [FR.home, FR.home, FR.home + FR.max_acceleration * 0.012**2 * 1.01]),
     ],
 )
-def test_a_limit_that_is_passed_is_counted(what, rows):
+def test_an_exceeded_limit_is_counted(what, rows):
     found = limit_violations(FR, np.array(rows), 0.012)
     assert getattr(found, f"{what}_violations") > 0
 
 
-def test_an_arm_is_judged_in_the_seconds_of_its_controllers_own_record(tmp_path):
+def test_an_arm_is_judged_by_the_time_of_its_own_controller(tmp_path):
     """Steps that are slow enough at 12 ms, of a controller that ticks every 4 ms."""
     recorder, rows = CsvRecorder(0.004, FR.n), [FR.home + 0.9 * FR.max_velocity * 0.012 * k for k in range(3)]
     recorder.start(tmp_path / "fr.csv")
@@ -106,5 +106,5 @@ def test_an_arm_is_judged_in_the_seconds_of_its_controllers_own_record(tmp_path)
     assert limit_violations(FR, np.array(rows), cycle_s).velocity_violations == 2 * FR.n
 
 
-def test_standing_still_passes_nothing():
+def test_a_robot_at_rest_exceeds_no_limit():
     assert limit_violations(FR, np.array([FR.home] * 5), 0.012).total == 0

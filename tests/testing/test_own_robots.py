@@ -90,7 +90,7 @@ def test_each_of_three_robots_keeps_clear_of_both_others(circle: Path, seed: int
 
 
 @pytest.mark.long
-def test_the_nearest_pair_is_found_whichever_robots_it_belongs_to(circle: Path) -> None:
+def test_the_nearest_pair_of_any_two_robots_is_found(circle: Path) -> None:
     towards = np.array([0.0, 1.3, 0.2])
     for apart in ("arm_0", "arm_1", "arm_2"):
         cell = CellModel.load(circle)
@@ -128,7 +128,7 @@ def drive(file: Path, cell: Path) -> None:
 
 
 @pytest.mark.long
-def test_a_recording_replays_to_the_bit_where_the_robots_files_are_gone(tmp_path: Path) -> None:
+def test_a_recording_replays_bit_for_bit_without_the_files_of_the_robots(tmp_path: Path) -> None:
     package = write_package(tmp_path)
     drive(tmp_path / "run.mcap", write_cell(tmp_path, robots=2, model="toy_arm/arm.urdf"))
     shutil.rmtree(package)
@@ -142,7 +142,7 @@ def test_a_recording_replays_to_the_bit_where_the_robots_files_are_gone(tmp_path
     assert max(np.ptp(line.values) for line in panels[0].lines) > 0.05
 
 
-def test_a_recording_without_hulls_is_refused_by_the_mesh_that_is_not_found(tmp_path: Path) -> None:
+def test_a_recording_without_hulls_is_refused_with_the_missing_mesh(tmp_path: Path) -> None:
     package = write_package(tmp_path)
     drive(tmp_path / "run.mcap", write_cell(tmp_path, robots=1, model="toy_arm/arm.urdf"))
     old = rewrite(tmp_path / "run.mcap", tmp_path / "old.mcap", without=("hulls.json",))
@@ -155,7 +155,7 @@ def test_a_recording_without_hulls_is_refused_by_the_mesh_that_is_not_found(tmp_
 
 
 @pytest.mark.long
-def test_a_recording_of_shipped_robots_without_hulls_replays_to_the_bit(tmp_path: Path) -> None:
+def test_a_recording_of_shipped_robots_without_hulls_replays_bit_for_bit(tmp_path: Path) -> None:
     with virtual_cell("lab", record=tmp_path / "run.mcap") as stack:
         stack.run_until_ready()
         stack.acquire("fr", "test")

@@ -31,7 +31,7 @@ def run(pytester):
 
 
 @pytest.mark.long
-def test_a_controller_that_keeps_its_goal_passes_and_one_that_does_not_fails_with_a_list_of_the_faults(run):
+def test_a_test_passes_if_the_goal_is_kept_and_otherwise_lists_the_faults(run):
     result = run(
         """
 def test_good(virtual_cell):
@@ -62,7 +62,7 @@ def test_planted_bug(virtual_cell):
 
 
 @pytest.mark.long
-def test_each_test_has_a_fresh_cell_and_the_marker_says_which(run):
+def test_each_test_has_a_fresh_cell_chosen_by_its_marker(run):
     result = run(
         """
 import pytest
@@ -93,7 +93,7 @@ def test_unmarked(virtual_cell, new_virtual_cell):
         ("seed=-1", "no cell could be made: seed must be 0 or more, got -1"),
     ],
 )
-def test_a_cell_that_cannot_be_had_is_an_error_of_one_line(run, marker, told):
+def test_an_unavailable_cell_is_an_error_of_one_line(run, marker, told):
     result = run(
         f"""
 import pytest
@@ -131,7 +131,7 @@ def test_goal(new_virtual_cell, faults):
     result.stdout.fnmatch_lines(['*faults=(fault("controller-hli-cut", at_s=0, for_s=0.036),),*'])
 
 
-def test_the_plugin_costs_nothing_where_no_test_asks_for_a_cell():
+def test_the_plugin_imports_nothing_if_no_test_uses_a_cell():
     listed = "import sys, deltaq_testing.plugin; print([m for m in sys.modules if m.startswith('deltaq')])"
     told = subprocess.run([sys.executable, "-c", listed], capture_output=True, text=True, check=True)
     assert told.stdout.strip() == "['deltaq_testing', 'deltaq_testing.plugin']"

@@ -44,7 +44,7 @@ def furthest(stack, robot, cycles):
 
 @pytest.mark.long
 @pytest.mark.parametrize("cell", ["lab", "lab-4ms"])
-def test_a_relative_krc_is_refused_before_any_motion_and_put_back(monkeypatch, cell):
+def test_a_relative_krc_is_refused_before_any_motion_and_moved_back(monkeypatch, cell):
     stack = cell_with(monkeypatch, cell, correction="relative")
     a_second = round(1.0 / stack.cell.description.cycle_s)
     starts = {name: arm.krc.sample.q for name, arm in stack.arms.items()}
@@ -63,7 +63,7 @@ def test_a_relative_krc_is_refused_before_any_motion_and_put_back(monkeypatch, c
 
 
 @pytest.mark.long
-def test_a_program_that_is_put_right_and_started_again_may_be_reset(monkeypatch):
+def test_a_corrected_and_restarted_program_may_be_reset(monkeypatch):
     stack = cell_with(monkeypatch, correction="relative")
     arm = stack.arms["fr"]
     for _ in range(80):
@@ -85,7 +85,7 @@ def test_a_program_that_is_put_right_and_started_again_may_be_reset(monkeypatch)
 
 
 @pytest.mark.parametrize("cell", ["lab", "lab-4ms"])
-def test_an_absolute_krc_is_ready_within_a_second_and_nowhere_else(monkeypatch, cell):
+def test_an_absolute_krc_is_ready_within_a_second_without_displacement(monkeypatch, cell):
     stack = cell_with(monkeypatch, cell)
     start = stack.arms["gr"].krc.sample.q
     stack.run_until_ready()
@@ -116,7 +116,7 @@ def test_a_krc_that_sends_one_decimal_is_not_driven(monkeypatch):
 
 
 @pytest.mark.long
-def test_motion_that_goes_on_after_the_brake_is_held_for_good_and_the_krc_told_to_end_it(monkeypatch):
+def test_motion_after_the_brake_holds_the_robot_and_sends_the_stop_signal(monkeypatch):
     stack, arm = turned_relative_in_motion(monkeypatch)
     held = 0
     while not arm.server.motion_stop:
@@ -132,7 +132,7 @@ def test_motion_that_goes_on_after_the_brake_is_held_for_good_and_the_krc_told_t
 
 
 @pytest.mark.long
-def test_after_motion_was_ended_a_program_that_is_put_right_may_be_reset(monkeypatch):
+def test_after_the_stop_signal_a_corrected_program_may_be_reset(monkeypatch):
     stack, arm = turned_relative_in_motion(monkeypatch)
     while arm.krc.state is not KrcState.MOTION_ENDED:
         stack.cycle()

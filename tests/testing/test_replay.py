@@ -95,7 +95,7 @@ def verdicts(file: Path) -> list[tuple[int, Verdict]]:
 
 
 @pytest.mark.long
-def test_a_recording_replays_to_the_last_bit(replayed: Replay) -> None:
+def test_a_recording_replays_bit_for_bit(replayed: Replay) -> None:
     assert replayed.good
     assert replayed.differences == []
     assert replayed.skipped == 0
@@ -108,7 +108,7 @@ def test_a_recording_replays_to_the_last_bit(replayed: Replay) -> None:
 
 
 @pytest.mark.long
-def test_a_run_in_virtual_time_gives_the_same_file_to_the_byte(tmp_path: Path) -> None:
+def test_a_run_in_virtual_time_gives_the_same_file_byte_for_byte(tmp_path: Path) -> None:
     one, other = drive(tmp_path / "one.mcap", 20), drive(tmp_path / "other.mcap", 20)
     assert one.read_bytes() == other.read_bytes()
     assert drive(tmp_path / "third.mcap", 20, seed=4).read_bytes() != one.read_bytes()
@@ -133,9 +133,7 @@ class ShuffledSim(Sim):
 
 
 @pytest.mark.long
-def test_the_order_in_which_distances_are_measured_changes_no_verdict(
-    recorded: Path, replayed: Replay
-) -> None:
+def test_the_order_of_distance_measurements_changes_no_verdict(recorded: Path, replayed: Replay) -> None:
     sims: list[ShuffledSim] = []
 
     def make(cell: CellModel, epoch: int) -> Sim:
@@ -149,7 +147,7 @@ def test_the_order_in_which_distances_are_measured_changes_no_verdict(
 
 
 @pytest.mark.long
-def test_another_gate_is_found_out_with_cycle_and_field(recorded: Path) -> None:
+def test_another_gate_is_detected_with_cycle_and_field(recorded: Path) -> None:
     def make(cell: CellModel, epoch: int) -> Sim:
         wider = cell.description.gate.model_copy(update={"stop_distance_m": 0.4})
         description = cell.description.model_copy(update={"gate": wider})
@@ -202,7 +200,7 @@ def test_a_changed_refusal_breaks_the_chain_of_receipts(recorded: Path, tmp_path
 
 
 @pytest.mark.long
-def test_a_refusal_that_was_taken_away_breaks_the_chain_of_receipts(recorded: Path, tmp_path: Path) -> None:
+def test_a_removed_refusal_breaks_the_chain_of_receipts(recorded: Path, tmp_path: Path) -> None:
     number = [n for n, v in verdicts(recorded) if v.receipt is not None][5]
     file = tmp_path / "without.mcap"
     rewrite(
@@ -216,7 +214,7 @@ def test_a_refusal_that_was_taken_away_breaks_the_chain_of_receipts(recorded: Pa
 
 
 @pytest.mark.long
-def test_after_a_gap_the_replay_goes_on_at_the_next_memory(recorded: Path, tmp_path: Path) -> None:
+def test_after_a_gap_the_replay_continues_at_the_next_snapshot(recorded: Path, tmp_path: Path) -> None:
     file = tmp_path / "gap.mcap"
     rewrite(recorded, file, lambda topic, sequence, data: None if sequence in range(240, 260) else data)
     found = replay(file)
@@ -228,7 +226,7 @@ def test_after_a_gap_the_replay_goes_on_at_the_next_memory(recorded: Path, tmp_p
 
 
 @pytest.mark.long
-def test_a_recording_that_began_while_the_cell_was_moving_replays_from_its_first_memory(
+def test_a_recording_begun_in_motion_replays_from_its_first_snapshot(
     recorded: Path, replayed: Replay, tmp_path: Path
 ) -> None:
     file = tmp_path / "joined.mcap"
@@ -242,7 +240,7 @@ def test_a_recording_that_began_while_the_cell_was_moving_replays_from_its_first
 
 
 @pytest.mark.long
-def test_a_truncated_recording_is_replayed_as_far_as_it_goes(recorded: Path, tmp_path: Path) -> None:
+def test_a_truncated_recording_is_replayed_up_to_its_end(recorded: Path, tmp_path: Path) -> None:
     # chunks of one message each, so that the file can end anywhere, between a message and its answers too
     rewrite(recorded, tmp_path / "fine.mcap", lambda topic, sequence, data: data, chunk_size=1)
     data, file = (tmp_path / "fine.mcap").read_bytes(), tmp_path / "cut.mcap"
@@ -259,7 +257,7 @@ def test_a_truncated_recording_is_replayed_as_far_as_it_goes(recorded: Path, tmp
 
 
 @pytest.mark.long
-def test_the_command_tells_a_difference_by_cycle_and_field_with_exit_status_1(
+def test_the_command_reports_a_difference_by_cycle_and_field_with_exit_status_1(
     recorded: Path, replayed: Replay, tmp_path: Path
 ) -> None:
     good = deltaq("recording", "replay", str(recorded), "--json")
@@ -276,7 +274,7 @@ def test_the_command_tells_a_difference_by_cycle_and_field_with_exit_status_1(
     assert "missing.mcap" in none.stderr
 
 
-def test_a_recording_without_requests_is_not_good_and_says_so(tmp_path: Path) -> None:
+def test_a_recording_without_requests_is_not_good(tmp_path: Path) -> None:
     with virtual_cell("lab", record=tmp_path / "idle.mcap") as stack:
         stack.run_until_ready()
     result = replay(tmp_path / "idle.mcap")
@@ -285,7 +283,7 @@ def test_a_recording_without_requests_is_not_good_and_says_so(tmp_path: Path) ->
     assert [line for line in notices(result) if line.startswith("nothing to compare")]
 
 
-def test_a_message_that_the_gate_cannot_take_is_a_difference(
+def test_a_message_that_fails_in_the_gate_is_a_difference(
     recorded: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     take, when = Sim.take, iter(range(1000))
@@ -312,7 +310,7 @@ def test_differences_are_found_in_lists_maps_and_the_sign_of_zero() -> None:
 
 
 @pytest.mark.nightly
-def test_the_figure_of_a_recording_shows_both_robots_and_where_the_gate_stepped_in(
+def test_the_figure_of_a_recording_shows_both_robots_and_the_interventions_of_the_gate(
     recorded: Path, tmp_path: Path
 ) -> None:
     panels = panels_of(Recording.open(recorded))
@@ -327,7 +325,7 @@ def test_the_figure_of_a_recording_shows_both_robots_and_where_the_gate_stepped_
 
 
 @pytest.mark.nightly
-def test_a_damaged_recording_ends_every_reader_with_a_line_or_not_at_all(
+def test_a_damaged_recording_gives_every_reader_at_most_one_line_of_error(
     recorded: Path, tmp_path: Path
 ) -> None:
     """Bytes of the file, and of messages whose checksum is then made anew, changed at random."""
@@ -375,7 +373,7 @@ class FailingOnce:
         return self._gate.decide(robot, others, request)
 
 
-def test_an_error_that_the_replay_does_not_meet_is_told_and_the_replay_goes_on_behind_it(
+def test_a_recorded_error_absent_in_the_replay_is_reported_and_the_replay_continues(
     tmp_path: Path,
 ) -> None:
     with virtual_cell("lab", record=tmp_path / "failed.mcap") as stack:

@@ -12,7 +12,7 @@ def attack():
 
 
 @pytest.mark.long
-def test_nothing_comes_nearer_than_it_was(attack):
+def test_in_a_violation_nothing_comes_nearer(attack):
     figures = summary([attack.run(seed) for seed in range(20)])
     assert figures["nearer_m"]["worst"] <= TOLERANCE_M, figures
     assert figures["moving"] > 5
@@ -20,14 +20,14 @@ def test_nothing_comes_nearer_than_it_was(attack):
 
 
 @pytest.mark.nightly
-def test_who_stands_in_a_violation_is_let_out_of_it(attack):
+def test_a_robot_in_a_violation_may_leave_it(attack):
     outwards = [attack.run(seed, ask="outwards") for seed in range(100, 118)]
     figures = summary(outwards)
     assert figures["nearer_m"]["worst"] <= TOLERANCE_M, figures
     assert figures["outwards"]["let_out"] == figures["outwards"]["situations"] >= 4
 
 
-def test_a_robot_whose_bodies_are_in_one_another_is_let_out(attack):
+def test_a_robot_with_overlapping_bodies_may_leave(attack):
     folded = attack.run(301034, ask="outwards")
     assert folded.room_m < -0.022  # link_5 is 2.9 mm inside link_1, and 20 mm are asked for
     assert folded.gained_m > 0.03
@@ -37,7 +37,7 @@ def test_a_robot_whose_bodies_are_in_one_another_is_let_out(attack):
 @pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize("forgotten", ["between setpoints", "since it began"])
-def test_a_gate_that_forgets_what_pairs_have_to_keep_is_found_out(attack, monkeypatch, forgotten):
+def test_a_gate_that_forgets_kept_distances_is_detected(attack, monkeypatch, forgotten):
     if forgotten == "between setpoints":
         monkeypatch.setattr(Retreat, "_keep", lambda *_: True)
     else:
@@ -49,6 +49,6 @@ def test_a_gate_that_forgets_what_pairs_have_to_keep_is_found_out(attack, monkey
 @pytest.mark.nightly
 @pytest.mark.timeout(0)
 @pytest.mark.parametrize("first", range(1000, 11_000, 100))
-def test_ten_thousand_situations_come_no_nearer(attack, first):
+def test_in_ten_thousand_situations_nothing_comes_nearer(attack, first):
     figures = summary([attack.run(seed) for seed in range(first, first + 100)])
     assert figures["nearer_m"]["worst"] <= TOLERANCE_M, figures

@@ -92,7 +92,7 @@ def invoke(*words):
         ("controller: turn.py:Turn", "[", "not YAML"),
     ],
 )  # fmt: skip
-def test_a_bad_field_is_named_with_line_value_and_bound_and_nothing_is_run(folder, before, after, told):
+def test_a_bad_field_is_named_with_line_value_and_bound_before_any_run(folder, before, after, told):
     file = changed(folder, (before, after))
     result = invoke("run", file)
     assert isinstance(result.exception, DeltaqError)
@@ -123,13 +123,13 @@ def test_a_missing_file_of_a_scenario_is_reported_in_a_line(folder, before, afte
     assert "\n" not in str(result.exception)
 
 
-def test_a_file_that_is_not_there_is_said():
+def test_a_missing_scenario_file_is_reported():
     with pytest.raises(ScenarioError, match=r"nowhere\.yaml: cannot be read: No such file or directory"):
         load_scenario(Path("nowhere.yaml"))
 
 
 @pytest.mark.long
-def test_a_planted_bug_fails_its_expectation_and_without_the_fault_it_does_not(folder):
+def test_a_planted_bug_fails_its_expectation_only_under_the_fault(folder):
     result = invoke("run", folder / "cut.yaml", "--json")
     assert result.exit_code == 1
     (told,) = json.loads(result.stdout)["scenarios"]
@@ -160,7 +160,7 @@ def test_an_error_of_a_controller_fails_the_scenario_with_its_line(folder):
 
 
 @pytest.mark.long
-def test_an_operator_brings_the_robot_back(folder):
+def test_an_operator_recovers_the_robot(folder):
     scenario = load_scenario(
         changed(
             folder,
@@ -174,7 +174,7 @@ def test_an_operator_brings_the_robot_back(folder):
     assert not Runner(folder).run(alone, "left alone").good
 
 
-def test_a_scenario_is_written_as_it_was_read(folder):
+def test_a_scenario_survives_a_round_trip(folder):
     scenario = load_scenario(folder / "cut.yaml")
     assert parse_scenario(dumped(scenario), "again") == scenario
 
@@ -206,7 +206,7 @@ class _Addresses(HTMLParser):
 
 
 @pytest.mark.long
-def test_the_page_needs_nothing_beside_it_and_escapes_what_it_shows(folder):
+def test_the_page_is_self_contained_and_escapes_its_texts(folder):
     name = "<script>.yaml"
     (folder / name).write_text(SCENARIO)
     page = folder / "report.html"
@@ -223,7 +223,7 @@ def test_the_page_needs_nothing_beside_it_and_escapes_what_it_shows(folder):
 
 
 @pytest.mark.long
-def test_a_report_that_cannot_be_written_is_said(folder):
+def test_an_unwritable_report_is_reported(folder):
     result = invoke("run", folder / "cut.yaml", "--junit", folder / "gone" / "report.xml")
     assert str(result.exception).endswith("report.xml: cannot be written: No such file or directory")
 
@@ -244,7 +244,7 @@ def test_a_search_finds_the_fault_writes_it_and_the_file_fails_again(folder):
 
 
 @pytest.mark.nightly
-def test_a_search_that_finds_nothing_says_how_much_it_looked(folder):
+def test_a_search_without_findings_reports_its_number_of_schedules(folder):
     search = "search: {faults: [krc_duplicating], most: 1}\nexpect:"
     file = changed(folder, ("expect:", search), ("duration_s: 1.0", "duration_s: 0.7"))
     result = invoke("search", file, "--examples", 3)

@@ -6,7 +6,7 @@ from deltaq_testing.faults.catalogue import UnknownFaultError
 from deltaq_testing.schedule import VIRTUAL, ScheduleError, checked, clash, fault
 
 
-def test_a_fault_that_is_not_there_is_answered_with_those_that_are():
+def test_an_unknown_fault_is_answered_with_similar_ones():
     with pytest.raises(
         UnknownFaultError, match=r"no fault 'hli-deadd'; did you mean 'hli-dead'\? `deltaq fault list`"
     ):
@@ -34,7 +34,7 @@ def test_a_fault_is_shown_as_it_is_typed():
     assert eval(repr(one), {"fault": fault}) == one
 
 
-def test_of_two_faults_on_one_part_the_second_begins_when_the_first_has_ended():
+def test_two_faults_on_one_part_must_not_overlap():
     cut, lossy = fault("link_cut", at_s=1, for_s=1), fault("link_lossy", at_s=1.5)
     with pytest.raises(
         ScheduleError, match=r"must start at 2 s or later: the link controller-hli still suffers"
@@ -44,5 +44,5 @@ def test_of_two_faults_on_one_part_the_second_begins_when_the_first_has_ended():
     assert clash([cut, fault("sim_dead", at_s=1.5)]) is None
 
 
-def test_every_fault_but_a_stop_names_what_it_changes():
+def test_every_fault_except_a_stop_names_its_parts():
     assert {row.name for row in VIRTUAL if not fault(row.name, at_s=0).parts} == {"operator-stop"}

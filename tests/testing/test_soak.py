@@ -21,7 +21,7 @@ COMMAND = "from deltaq_deploy.command import main; main()"
 
 @pytest.mark.nightly
 @pytest.mark.live
-def test_ctrl_c_ends_a_soak_with_the_report_so_far_and_leaves_nothing_running(tmp_path: Path) -> None:
+def test_ctrl_c_ends_a_soak_with_the_report_so_far_and_no_process(tmp_path: Path) -> None:
     words = [
         "bench",
         "soak",
@@ -69,7 +69,7 @@ def round_of(good: bool) -> SoakRound:
     )
 
 
-def test_a_soak_is_good_if_every_round_was_and_there_was_one() -> None:
+def test_a_soak_is_good_if_it_has_rounds_and_all_are_good() -> None:
     def of(*rounds: SoakRound) -> bool:
         return SoakReport(cell="lab", robot="fr", seed=0, asked_s=1, rounds=list(rounds)).good
 
@@ -97,7 +97,7 @@ def test_a_soak_draws_only_faults_that_apply_to_a_running_cell() -> None:
     }
 
 
-def test_a_place_where_no_report_can_be_is_refused_before_the_soak(tmp_path: Path) -> None:
+def test_an_unwritable_folder_is_refused_before_the_soak(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     result = CliRunner().invoke(
         app, ["bench", "soak", "--hours", "1", "--output", str(tmp_path / "file" / "below")]

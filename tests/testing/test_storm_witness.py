@@ -73,7 +73,7 @@ def wire():
     return Wire().begin()
 
 
-def test_admissions_and_their_brakes_are_told_from_one_another_and_from_the_probe(wire):
+def test_admissions_brakes_and_probes_are_distinguished(wire):
     counts = wire.drive().judge()
     assert counts["by an admission"] == 4
     assert counts["by a brake"] == 2
@@ -92,21 +92,21 @@ def renumbered(admissions, number):
 
 
 @pytest.mark.parametrize("missing", range(4))
-def test_a_step_of_which_the_gate_knows_nothing_is_not_explained(wire, missing):
+def test_a_step_unknown_to_the_gate_is_not_explained(wire, missing):
     wire.drive()
     with pytest.raises(UnexplainedError, match="moved by"):
         wire.judge(renumbered(wire.admissions, missing))
 
 
 @pytest.mark.parametrize("missing", [1, 2])
-def test_an_admission_that_was_lost_on_its_way_explains_one_step_and_is_counted_apart(wire, missing):
+def test_a_lost_admission_explains_one_step_and_is_counted_separately(wire, missing):
     wire.drive()
     heard = [one for place, one in enumerate(wire.admissions) if place != missing]
     counts = wire.judge(heard)
     assert (counts["by an admission"], counts[UNHEARD], counts["by a brake"]) == (3, 1, 2)
 
 
-def test_the_brake_of_an_admission_that_was_lost_on_its_way_is_known(wire):
+def test_the_brake_of_a_lost_admission_is_known(wire):
     wire.cycle(MAX_DV)
     wire.cycle(2 * MAX_DV)
     wire.cycle(3 * MAX_DV)
@@ -119,7 +119,7 @@ def test_the_brake_of_an_admission_that_was_lost_on_its_way_is_known(wire):
 
 
 @pytest.mark.parametrize("share", [1.01, -1.01, 2.0, 50.0])
-def test_an_admission_that_was_lost_on_its_way_explains_no_step_that_it_could_not_make(wire, share):
+def test_a_lost_admission_explains_no_other_step(wire, share):
     wire.drive()
     for _ in range(4):
         wire.cycle()
@@ -130,7 +130,7 @@ def test_an_admission_that_was_lost_on_its_way_explains_no_step_that_it_could_no
         wire.judge([*wire.admissions, last])
 
 
-def test_an_admission_that_was_lost_on_its_way_explains_no_second_step(wire):
+def test_a_lost_admission_explains_no_second_step(wire):
     for _ in range(2):
         wire.cycle(MAX_DV)
         for _ in range(3):
@@ -146,7 +146,7 @@ def test_an_admission_that_was_lost_on_its_way_explains_no_second_step(wire):
 
 
 @pytest.mark.parametrize("off_rad", [1e-6, 0.02])
-def test_a_reply_that_is_off_by_little_or_much_is_not_explained(wire, off_rad):
+def test_a_wrong_reply_is_not_explained(wire, off_rad):
     wire.drive().cycle()
     wire.move_last(off_rad)
     with pytest.raises(UnexplainedError):
@@ -154,14 +154,14 @@ def test_a_reply_that_is_off_by_little_or_much_is_not_explained(wire, off_rad):
 
 
 @pytest.mark.parametrize("share", [0.9, 1.1, -0.9])
-def test_a_step_that_is_nearly_that_of_a_probe_is_not_explained(wire, share):
+def test_a_step_similar_to_a_probe_is_not_explained(wire, share):
     wire.drive().cycle()
     wire.move_last(share * PULSES[0])
     with pytest.raises(UnexplainedError):
         wire.judge()
 
 
-def test_a_pulse_that_does_not_end_where_it_began_is_not_explained(wire):
+def test_a_pulse_that_does_not_return_is_not_explained(wire):
     wire.drive().cycle()
     wire.move_last(PULSES[0])
     assert wire.judge()["by a probe"] == 2 * (len(PULSES) + 1) + 1
@@ -196,7 +196,7 @@ def test_a_new_session_has_no_correction(wire):
         wire.judge()
 
 
-def test_a_forgery_with_an_ipoc_of_an_earlier_session_is_answered_in_the_one_that_it_repeats():
+def test_a_forgery_with_an_earlier_ipoc_is_answered_in_the_repeated_session():
     wire = Wire()
     krc, codec = wire.krc, wire.krc.driver._codec
     earlier, elsewhere = krc.ipoc, FR.home + 0.01
@@ -214,7 +214,7 @@ def test_a_forgery_with_an_ipoc_of_an_earlier_session_is_answered_in_the_one_tha
         wire.judge()
 
 
-def test_the_forger_makes_every_kind_mostly_under_other_names():
+def test_the_forger_makes_every_kind_mostly_as_other_senders():
     forger = Forger(0)
     assert forger.forge() is None
     forger.overhear(telegram(1000, FR.home))
@@ -223,7 +223,7 @@ def test_the_forger_makes_every_kind_mostly_under_other_names():
     assert sum(one.sender is not ForgedSender.KRC for one in forged) > 10_000
 
 
-def test_pulses_come_in_any_order_and_each_is_taken_back_before_the_next_begins():
+def test_pulses_come_in_any_order_and_each_is_undone_before_the_next():
     pulses = Pulses(PULSES, 2 * ROUNDING)
     steps = np.diff(np.concatenate([np.zeros((1, 6)), PULSES, np.zeros((1, 6))]), axis=0)
     for sign in (1.0, -1.0, -1.0, 1.0):
@@ -238,7 +238,7 @@ def test_pulses_come_in_any_order_and_each_is_taken_back_before_the_next_begins(
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_pulse_goes_on_however_often_sessions_change_within_it(sign):
+def test_a_pulse_continues_across_changes_of_session(sign):
     pulses = Pulses(PULSES, 2 * ROUNDING)
     steps = np.diff(np.concatenate([PULSES, np.zeros((1, 6))]), axis=0)
     for offset, step in zip(PULSES, steps, strict=True):
@@ -250,7 +250,7 @@ def test_a_pulse_goes_on_however_often_sessions_change_within_it(sign):
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_replies_to_another_session_within_a_pulse_are_the_probes_up_to_its_size(wire, sign):
+def test_replies_to_another_session_within_a_pulse_stay_within_its_size(wire, sign):
     wire.drive()
     probed = wire.judge()["by a probe"]
     krc, codec = wire.krc, wire.krc.driver._codec

@@ -35,7 +35,7 @@ def test_a_failing_schedule_shrinks_to_one_early_and_short_fault(cycles):
 
 @pytest.mark.long
 @pytest.mark.nightly
-def test_two_faults_that_are_needed_together_are_both_kept():
+def test_two_jointly_needed_faults_are_both_kept():
     def fails(faults):
         return {"hli-dead", "controller-hli-lossy"} <= {timed.what.name for timed in faults}
 
@@ -59,6 +59,6 @@ def test_two_faults_that_are_needed_together_are_both_kept():
         ({"within_s": 1.0, "names": ["recorder_dead"]}, "recorder-dead does not exist in virtual time"),
     ],
 )
-def test_bounds_that_leave_nothing_to_draw_are_refused(bounds, told):
+def test_bounds_without_possible_draws_are_refused(bounds, told):
     with pytest.raises(ScheduleError, match=told):
         schedules(**bounds)

@@ -27,12 +27,12 @@ def test_the_page_prints_the_cell_that_the_test_runs(cell: Path) -> None:
     assert printed == cell.read_text(encoding="utf-8")
 
 
-def test_the_cell_is_found_good(cell: Path) -> None:
+def test_the_cell_passes_its_check(cell: Path) -> None:
     report = check_cell(cell)
     assert report.ok, report.errors
 
 
-def test_the_services_of_all_sites_are_those_of_the_cell(cell: Path) -> None:
+def test_the_sites_together_have_all_services_of_the_cell(cell: Path) -> None:
     description = load_cell(str(cell))
     services = cell_services(description, str(cell), real=True)
     services = (*services, console_service(description, str(cell), services))

@@ -41,7 +41,7 @@ def ready(lab):
     return cell
 
 
-def test_of_two_clients_one_drives_and_the_other_only_when_the_first_has_died(lab):
+def test_the_second_client_drives_only_after_the_first_died(lab):
     cell = ready(lab)
     one, other = cell.connect(Listener), cell.connect(Listener)
     assert one.core.acquire() == [True]
@@ -66,7 +66,7 @@ def test_messages_for_an_earlier_client_do_not_reach_its_successor(lab):
     assert {type(message).__name__ for message in connection.core.told} == {"RobotState"}
 
 
-def test_a_gate_that_stood_still_answers_afterwards_what_came_meanwhile(lab):
+def test_a_resumed_gate_answers_the_messages_of_its_freeze(lab):
     cell = ready(lab)
     cell.acquire("fr", "test")
     gate = cell.process(Process.SIM, "fr")
@@ -78,7 +78,7 @@ def test_a_gate_that_stood_still_answers_afterwards_what_came_meanwhile(lab):
 
 
 @pytest.mark.long
-def test_a_wire_of_one_kind_of_message_carries_no_other(lab):
+def test_a_wire_carries_only_its_kind_of_message(lab):
     cell, wire = ready(lab), MessageWire()
     cell.plug(Link.SIM_SERVER, Process.ROBOT_SERVER, wire, ["fr"], Admission)
     wire.link.faults = LinkFaults(drop=1.0)
@@ -94,7 +94,7 @@ def test_a_wire_of_one_kind_of_message_carries_no_other(lab):
     assert wire.link.counts["dropped"] > 50
 
 
-def test_a_robot_whose_clock_is_behind_stands_while_the_others_go_on(lab):
+def test_a_robot_with_a_late_clock_stands_while_the_others_move(lab):
     cell = ready(lab)
     before = {name: state.cycle for name, state in cell.states.items()}
     cell.cycle(["gr"])
@@ -102,7 +102,7 @@ def test_a_robot_whose_clock_is_behind_stands_while_the_others_go_on(lab):
     assert {name: state.cycle - before[name] for name, state in cell.states.items()} == {"fr": 0, "gr": 2}
 
 
-def test_a_robot_without_a_krc_is_where_it_was_sent():
+def test_a_robot_without_a_krc_is_at_its_setpoint():
     cell = VirtualCell("dawm")
     cell.run_until_ready()
     assert cell.krc_arms == {}
