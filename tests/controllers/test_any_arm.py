@@ -156,6 +156,11 @@ def test_an_unreachable_or_invalid_pose_is_reported_and_stops_nothing_else(case:
         case.arm.inverse(good, hint=np.full(6, np.nan))
 
 
+def test_no_pose_at_all_has_no_solution(case: Case) -> None:
+    assert case.arm.inverse(np.empty((0, 4, 4))).q.shape[0] == 0
+    assert case.arm.near(np.empty((0, 4, 4)), np.empty((0, 6)), case.lower, case.upper).shape == (0, 6)
+
+
 def test_near_a_reference_the_nearest_solution_is_its_continuation(case: Case) -> None:
     random = np.random.default_rng(4)
     q = random.uniform(case.lower + 0.1, case.upper - 0.1, (50, 6))

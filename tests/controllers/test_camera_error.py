@@ -8,6 +8,7 @@ from deltaq_cell.description import Camera, Pose
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.camera.error import (
     ANTIPODE_RAD,
+    easiest_way_round,
     look,
     view_angle,
     view_jacobians,
@@ -116,3 +117,17 @@ def test_a_focus_in_the_lens_counts_as_straight_ahead(random: np.random.Generato
     view = look(a_rotation(random), np.ones(3), np.ones(3))
     assert view.angle == pytest.approx(0.0, abs=1e-12)
     assert np.isfinite(view.P).all()
+
+
+def test_from_a_focus_behind_the_camera_on_the_axis_of_a1_the_way_round_is_over_the_top() -> None:
+    robot = lab().robots["fr"]
+    kinematics = Kinematics(robot, "camera")
+    kinematics.update(np.deg2rad([0.0, -90.0, 90.0, 0.0, 0.0, 0.0]))
+    base = robot.T_world_base[:3, 3]
+    focus = np.array([base[0], base[1], kinematics.position[2]])
+    view = look(kinematics.rotation, kinematics.position, focus)
+    assert view.undecided
+    # e1 is up in the picture: no joint can move this focus sideways
+    np.testing.assert_allclose(
+        np.abs(easiest_way_round(kinematics.rotation, focus, kinematics.twists)), [1.0, 0.0], atol=1e-9
+    )

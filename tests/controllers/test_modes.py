@@ -14,7 +14,7 @@ from deltaq_controllers.criteria.postures import Postures, RobotData
 from deltaq_controllers.criteria.table import Normalised
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.limits import IncrementLimits
-from deltaq_controllers.modes.hand_modes import CoupledMode, travel, weighed
+from deltaq_controllers.modes.hand_modes import CoupledMode, travel, travel_gradient, weighed
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.interface import Instant, Motion
 from deltaq_controllers.modes.teleoperator import MODES, Teleoperator
@@ -33,6 +33,17 @@ def test_each_hand_of_two_has_an_arm_of_six_joints_and_the_rest_is_base() -> Non
     assert not (hands.arms[0] & hands.arms[1]).any()
     base = np.array(model("dawm").joint_names)[~hands.arms.any(axis=0)]
     assert base.tolist() == ["torso", "left_yaw", "left_pitch", "right_yaw", "right_pitch"]
+
+
+def test_the_travel_criterion_has_the_gradient_it_says() -> None:
+    robot = model("gr")
+    q = robot.home
+    gradient = travel_gradient(q, robot.lower, robot.upper)
+    for joint in range(robot.n):
+        step = np.zeros(robot.n)
+        step[joint] = 1e-6
+        ahead, behind = (travel(q + s * step, robot.lower, robot.upper) for s in (1, -1))
+        assert gradient[joint] == pytest.approx((ahead - behind) / 2e-6, rel=1e-6, abs=1e-9)
 
 
 @pytest.mark.parametrize("mode", BY_HAND)

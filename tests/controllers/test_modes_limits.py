@@ -301,3 +301,12 @@ def test_a_rotation_by_half_a_turn_is_exact() -> None:
     around = np.diag([-1.0, -1.0, 1.0])[None]
     found = displacement(axes, np.zeros((1, 3)), around, np.zeros((1, 3)))
     assert np.linalg.norm(found[0, 3:]) == pytest.approx(np.pi)
+
+
+@pytest.mark.long
+def test_an_edge_can_be_left_by_the_hand_as_well() -> None:
+    run = PlainDrive("gr", DECOUPLED)
+    run.drive(7.0, z=-0.2)
+    low = run.robot.forward(run.now)[2, 3]
+    run.drive(3.0, z=0.1)
+    assert run.robot.forward(run.now)[2, 3] > low + 0.1
