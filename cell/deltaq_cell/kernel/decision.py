@@ -313,40 +313,41 @@ def largest_share(
         The share, 0 if none is found, and what is left of the budget.
     """
     least = refused / 2**halvings
-    for sets in range(1, rounds + 1):
-        share, budget = _largest_kept(
-            cell,
-            placed,
-            course,
-            least,
-            refused,
-            against,
-            pairs,
-            room_m,
-            budget,
-            trial_budget,
-            sets,
-            tells,
-            suspected,
-            stack,
-            found,
-        )
+    # each call is in this text once: that of a large function takes seconds to compile
+    for sets in range(1, rounds + 2):
+        share = least
+        if sets <= rounds:
+            share, budget = _largest_kept(
+                cell,
+                placed,
+                course,
+                least,
+                refused,
+                against,
+                pairs,
+                room_m,
+                budget,
+                trial_budget,
+                sets,
+                tells,
+                suspected,
+                stack,
+                found,
+            )
         if share == 0.0:
-            return 0.0, budget
+            break
         mine = lay_course(course, share)
         failed, budget, _, first, last = certify_all(
             cell, placed, mine, against, pairs, every, room_m, budget, tells, stack, found, told
         )
-        if failed == NONE or share == least:
-            return (share if failed == NONE else 0.0), budget
+        if failed == NONE:
+            return share, budget
+        if share == least:
+            break
         refused = share
         if sets < rounds:
             _suspect(suspected, sets, stack.chosen[first:last], against.tubes[failed, 11])
-    mine = lay_course(course, least)
-    failed, budget, _, _, _ = certify_all(
-        cell, placed, mine, against, pairs, every, room_m, budget, tells, stack, found, told
-    )
-    return (least if failed == NONE else 0.0), budget
+    return 0.0, budget
 
 
 @copied
@@ -371,32 +372,13 @@ def _largest_kept(
 
     The least is tried first: where a robot stands right before an obstacle it is refused, and nearly always all others.
     """
-    kept, budget = _keep(
-        cell,
-        placed,
-        course,
-        least,
-        against,
-        pairs,
-        room_m,
-        budget,
-        trial_budget,
-        sets,
-        tells,
-        suspected,
-        stack,
-        found,
-    )
-    if not kept:
-        return 0.0, budget
-    share, step = least, refused - least
-    while step > least:
-        step /= 2
+    share, step, tried = 0.0, refused - least, least
+    while True:
         kept, budget = _keep(
             cell,
             placed,
             course,
-            share + step,
+            tried,
             against,
             pairs,
             room_m,
@@ -409,8 +391,11 @@ def _largest_kept(
             found,
         )
         if kept:
-            share += step
-    return share, budget
+            share = tried
+        if share == 0.0 or step <= least:
+            return share, budget
+        step /= 2
+        tried = share + step
 
 
 @copied
