@@ -118,7 +118,7 @@ async def test_refused_attempts_over_zenoh_are_logged_and_counted(running: Audit
     await asyncio.to_thread(stranger.close)
 
 
-async def test_a_name_cannot_break_a_line_nor_a_terminal(running: Audited) -> None:
+async def test_a_client_name_cannot_break_a_line_or_a_terminal(running: Audited) -> None:
     name = 'x"}\n{"what":"stop","client":"root"}\x1b[2J\u202e\x7f'
     async with json_client(running.port, name) as client:
         await client.ask("done", type="reset", robot="fr")
@@ -188,7 +188,9 @@ async def test_actions_are_logged_with_their_results(running: Audited) -> None:
     assert times == sorted(times)
 
 
-async def test_over_zenoh_too_and_a_lease_that_runs_out_is_its_holders(running: Audited) -> None:
+async def test_actions_over_zenoh_are_logged_and_an_expired_lease_is_that_of_its_holder(
+    running: Audited,
+) -> None:
     where = {"address": "zenoh"}
     async with connect(running.peer.cell.hli, client="script", token=OPERATOR) as cell:
         async with cell.lease("gr") as robot:
@@ -247,7 +249,7 @@ async def test_recorders_get_every_entry_sealed_through_the_gates_process(runnin
 # --- a disk that fails ------------------------------------------------------------------------------------
 
 
-async def test_a_full_disk_stops_nothing_is_counted_and_is_told_in_the_health() -> None:
+async def test_a_full_disk_stops_nothing_is_counted_and_shown_in_the_health() -> None:
     async with audited(Path("/dev/full")) as running:
         async with json_client(running.port, "driver", token=CONTROLLER) as client:
             assert (await client.ask("lease", type="lease", robot="fr", action="acquire"))["granted"]
@@ -264,7 +266,7 @@ async def test_a_full_disk_stops_nothing_is_counted_and_is_told_in_the_health() 
 # --- what needs no server ---------------------------------------------------------------------------------
 
 
-def test_texts_of_strangers_are_cut_and_every_entry_is_one_line(tmp_path: Path) -> None:
+def test_texts_of_clients_are_shortened_and_every_entry_is_one_line(tmp_path: Path) -> None:
     file = tmp_path / "audit.jsonl"
     published: list[AuditEntry] = []
     audit = Audit(file, published.append, lambda: ("s3cret",), lambda: 5.0)
@@ -280,7 +282,7 @@ def test_texts_of_strangers_are_cut_and_every_entry_is_one_line(tmp_path: Path) 
     assert b"s3cret" not in file.read_bytes()
 
 
-def test_recorders_are_sent_no_more_than_they_may_and_the_file_has_all(tmp_path: Path) -> None:
+def test_recorders_get_a_bounded_rate_and_the_file_has_every_entry(tmp_path: Path) -> None:
     published: list[AuditEntry] = []
     audit = Audit(tmp_path / "audit.jsonl", published.append, tuple, lambda: 5.0)
     for kind in AuditKind:
@@ -311,7 +313,7 @@ def written(path: Path, numbers: range, **bounds: int) -> AuditFile:
     return file
 
 
-def test_a_full_disk_loses_lines_counts_them_and_says_why() -> None:
+def test_a_full_disk_loses_and_counts_lines_with_a_reason() -> None:
     file = written(Path("/dev/full"), range(50))
     assert file.lost == 50
     assert file.fault == os.strerror(28)
@@ -327,7 +329,7 @@ def test_a_pipe_without_a_reader_delays_no_caller(tmp_path: Path) -> None:
     assert 3000 - 64 * 1024 // 100 - 1 <= file.lost < 3000
 
 
-def test_a_folder_that_went_loses_lines_until_it_is_back_and_the_log_says_so_once(
+def test_a_missing_folder_loses_lines_until_it_returns_and_is_logged_once(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     folder = tmp_path / "state"
@@ -352,7 +354,7 @@ def test_a_folder_that_went_loses_lines_until_it_is_back_and_the_log_says_so_onc
 
 
 @pytest.mark.parametrize("torn", [b'{"numb', b'{"number":0001}', b'{"number":0001}\n{"nu'])
-def test_a_line_that_a_crash_tore_is_ended_and_none_before_it_is_touched(tmp_path: Path, torn: bytes) -> None:
+def test_a_torn_line_is_ended_and_earlier_lines_stay_unchanged(tmp_path: Path, torn: bytes) -> None:
     path = tmp_path / "audit.jsonl"
     path.touch(0o600)
     path.write_bytes(torn)
@@ -360,7 +362,7 @@ def test_a_line_that_a_crash_tore_is_ended_and_none_before_it_is_touched(tmp_pat
     assert path.read_bytes() == torn + b"\n" + line(2) + line(3)
 
 
-def test_rotation_keeps_the_newest_and_no_more_than_it_may(tmp_path: Path) -> None:
+def test_rotation_keeps_a_bounded_number_of_the_newest_files(tmp_path: Path) -> None:
     path = tmp_path / "audit.jsonl"
     written(path, range(100), most_bytes=160, most_files=3)
     files = [path, *older(path, 3)]
@@ -387,7 +389,7 @@ def test_a_file_that_was_moved_away_is_created_again(tmp_path: Path) -> None:
     assert (path.read_bytes(), (tmp_path / "moved").read_bytes()) == (line(1), line(0))
 
 
-def test_it_is_its_owners_alone_with_any_umask(tmp_path: Path) -> None:
+def test_the_log_is_private_to_its_owner_with_any_umask(tmp_path: Path) -> None:
     path = tmp_path / "audit.jsonl"
     before = os.umask(0)
     try:
@@ -397,7 +399,7 @@ def test_it_is_its_owners_alone_with_any_umask(tmp_path: Path) -> None:
     assert {stat.S_IMODE(file.stat().st_mode) for file in tmp_path.iterdir()} == {0o600}
 
 
-def test_one_that_others_may_read_or_that_cannot_be_opened_is_refused_by_name(tmp_path: Path) -> None:
+def test_a_log_readable_by_others_or_unopenable_is_refused_by_name(tmp_path: Path) -> None:
     path = tmp_path / "audit.jsonl"
     path.touch()
     path.chmod(0o644)
@@ -407,7 +409,9 @@ def test_one_that_others_may_read_or_that_cannot_be_opened_is_refused_by_name(tm
         AuditFile(tmp_path / "nowhere" / "x")
 
 
-def test_by_default_it_is_with_the_users_state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_by_default_the_log_is_in_the_state_folder_of_the_user(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     assert default_audit_file("lab") == tmp_path / "state" / "deltaq" / "audit-lab.jsonl"
     assert stat.S_IMODE((tmp_path / "state" / "deltaq").stat().st_mode) == 0o700
@@ -435,13 +439,13 @@ def flooded(groups: DeedGroups, deeds: list[Deed], each_s: float) -> list[Counte
     return told + groups.rest()
 
 
-def test_a_flood_of_equal_attempts_is_a_few_lines_and_none_goes_uncounted() -> None:
+def test_a_flood_of_equal_attempts_gives_few_lines_with_complete_counts() -> None:
     told = flooded(DeedGroups(), [refused()] * 100_000, each_s=0.001)
     assert sum(counted.count for counted in told) == 100_000
     assert len(told) <= 10  # 100 s: at 0, 1, 3, 7, 15, 31, 61, 91, and the rest
 
 
-def test_who_connects_again_each_time_is_one_group_and_the_newest_port_is_told() -> None:
+def test_reconnecting_attempts_are_one_group_with_the_newest_port() -> None:
     deeds = [refused(address=f"[fe80::1]:{port}") for port in range(10_000, 20_000)]
     told = flooded(DeedGroups(), deeds, each_s=0.00005)
     assert [counted.count for counted in told] == [1, 9_999]
@@ -449,7 +453,7 @@ def test_who_connects_again_each_time_is_one_group_and_the_newest_port_is_told()
 
 
 @pytest.mark.long
-def test_a_flood_of_invented_names_is_bounded_and_counted_and_takes_no_line_from_others() -> None:
+def test_a_flood_of_invented_names_is_bounded_and_counted_without_loss_of_other_lines() -> None:
     groups = DeedGroups()
     strangers = [refused(client=f"stranger-{number}") for number in range(100_000)]
     told = flooded(groups, strangers, each_s=0.001)
@@ -465,7 +469,7 @@ def test_a_flood_of_invented_names_is_bounded_and_counted_and_takes_no_line_from
 @pytest.mark.by_day(2)
 @pytest.mark.long
 @pytest.mark.parametrize("names", [1, MOST_GROUPS, 10 * MOST_GROUPS, 10_000])
-def test_the_worst_flood_of_a_kind_drives_no_entry_out_of_the_files_within_hours(names: int) -> None:
+def test_the_worst_flood_displaces_no_entry_within_hours(names: int) -> None:
     hours, each_s = 1.0, 0.02
     groups, lines = DeedGroups(), 0
     for number in range(int(hours * 3600 / each_s)):
@@ -476,7 +480,7 @@ def test_the_worst_flood_of_a_kind_drives_no_entry_out_of_the_files_within_hours
     assert lines / hours * line_bytes * kinds < MOST_BYTES * MOST_FILES / 8.0  # a shift of eight hours
 
 
-def test_each_setting_of_an_output_is_counted_by_what_was_set() -> None:
+def test_output_changes_are_counted_by_their_setting() -> None:
     groups, told = DeedGroups(), list[CountedDeed]()
     origin = ClientOrigin("driver", "10.0.0.7:1", "controller")
     for number in range(1000):
@@ -489,7 +493,7 @@ def test_each_setting_of_an_output_is_counted_by_what_was_set() -> None:
     assert counts == {"gripper on": 500, "gripper off": 500}
 
 
-def test_different_actions_are_reported_apart_and_at_once() -> None:
+def test_different_actions_are_reported_separately_and_at_once() -> None:
     groups, deeds = DeedGroups(), [refused(), refused("another"), refused(address="10.0.0.8:1")]
     assert [groups.add(deed, 0.0)[0].deed for deed in deeds] == deeds
 

@@ -19,7 +19,7 @@ def bench(operator: str | None = "token") -> tuple[Leases, Authentication]:
     return leases, Authentication(leases, ClientRoles(operator), "ours")
 
 
-def test_the_holder_s_request_is_good_once_and_in_order() -> None:
+def test_the_request_of_a_holder_is_valid_once_and_in_order() -> None:
     leases, authentication = bench()
     prover = Prover(leases.grant("fr", ClientOrigin("x"), None, 0.0).token)
     first, second, third = (prover.prove_next(KEY, MESSAGE) for _ in range(3))
@@ -36,7 +36,7 @@ def test_a_proof_without_a_count_makes_no_request_and_one_with_a_count_no_increm
     assert authentication.holder_of_increment("fr", KEY, MESSAGE, prover.prove_next(KEY, MESSAGE)) is None
 
 
-def test_counts_restart_with_each_lease_and_the_old_one_is_invalid() -> None:
+def test_counts_restart_with_each_lease_and_the_old_lease_is_invalid() -> None:
     leases, authentication = bench()
     old = leases.grant("fr", ClientOrigin("x"), None, 0.0)
     was = Prover(old.token)
@@ -64,7 +64,7 @@ def test_the_previous_holder_is_known_and_earlier_ones_are_not() -> None:
     assert known == [None, None, ("secret-2", False)]
 
 
-def test_a_challenge_is_valid_once_soon_and_with_the_token_only() -> None:
+def test_a_challenge_is_valid_once_for_a_short_time_and_with_the_token() -> None:
     _, authentication = bench()
     operator, stranger = Prover("token"), Prover("guessed")
     challenge = authentication.challenge(10.0)

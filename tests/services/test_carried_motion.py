@@ -98,7 +98,7 @@ def ramp(cycles: int, speed: float) -> list[float]:
     return [float(dq) for dq in np.minimum(up, up[::-1])]
 
 
-def test_on_an_even_way_each_is_passed_on_to_the_bit_and_nothing_is_owed() -> None:
+def test_over_an_even_link_increments_pass_bit_for_bit_without_deferred_motion() -> None:
     carried, dq = new_carried(), (0.1 + 0.2,)
     assert carried.add_to(dq, (0.0,)) is not None
     assert carried.add_to(dq, (0.0,)) == dq
@@ -106,7 +106,7 @@ def test_on_an_even_way_each_is_passed_on_to_the_bit_and_nothing_is_owed() -> No
 
 
 @pytest.mark.parametrize("late_cycles", [1, 2, 5, MOST_CARRIED_CYCLES])
-def test_increments_that_were_held_up_lose_no_motion_and_the_robot_passes_no_limit(late_cycles: int) -> None:
+def test_delayed_increments_lose_no_motion_and_exceed_no_limit(late_cycles: int) -> None:
     motion, way = ramp(400, 0.004), Way()
     ages = [[max(5, 200 + late_cycles + 5 - k)] if k >= 200 else [5] for k in range(400)]
     way.run(motion, ages)
@@ -127,7 +127,7 @@ def test_an_increment_too_late_to_be_deferred_is_refused_and_moves_nothing() -> 
     assert way.robot.q_cmd == 0.0
 
 
-def test_of_two_answers_to_one_state_one_moves_the_robot_whichever_comes_too_late() -> None:
+def test_of_two_answers_to_one_state_only_one_moves_the_robot() -> None:
     way = Way()
     ages = [[5]] * 150
     ages[60] = [8, 9, 10]
@@ -136,7 +136,7 @@ def test_of_two_answers_to_one_state_one_moves_the_robot_whichever_comes_too_lat
     assert way.robot.q_cmd == pytest.approx(0.001, abs=1e-12)
 
 
-def test_after_an_increment_that_never_came_nothing_is_taken_back() -> None:
+def test_a_lost_increment_is_not_compensated() -> None:
     motion, way = ramp(200, 0.004), Way()
     ages = [[] if k == 100 else [5] for k in range(200)]
     way.run(motion, ages)
@@ -145,7 +145,7 @@ def test_after_an_increment_that_never_came_nothing_is_taken_back() -> None:
     assert way.robot.q_cmd <= sum(motion)
 
 
-def test_a_controller_that_falls_silent_owes_nothing_and_finds_nothing_owed() -> None:
+def test_a_silence_of_the_controller_cancels_all_deferred_motion() -> None:
     way = Way()
     way.run([0.002] * 50, [[5]] * 50)
     assert way.told[-1][0].owed is None

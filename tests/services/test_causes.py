@@ -44,7 +44,7 @@ BEFORE = server_state(plan=AT_REST)
 
 
 @pytest.mark.parametrize("in_flight", [(), (admitted(sequence=3),)])
-def test_a_sequence_that_was_not_admitted(in_flight: tuple[Admission, ...]) -> None:
+def test_an_unadmitted_sequence_is_impossible(in_flight: tuple[Admission, ...]) -> None:
     said = judged(moving(), BEFORE, in_flight=in_flight)
     assert said == "sequence 2, which was not admitted"
     assert judged(moving(), BEFORE, in_flight=(admitted(),)) is None
@@ -58,19 +58,19 @@ def test_a_sequence_that_was_not_admitted(in_flight: tuple[Admission, ...]) -> N
         moving(sequence=1, epoch=EPOCH),
     ],
 )
-def test_a_sequence_of_this_gate_that_neither_was_there_nor_is_under_way(state: ServerState) -> None:
+def test_a_sequence_of_this_gate_neither_shown_nor_in_flight_is_impossible(state: ServerState) -> None:
     followed_another = BEFORE.model_copy(update={"epoch": 7, "plan": MOVING})
     said = f"sequence {state.sequence}, which was not admitted"
     assert judged(state, followed_another, in_flight=(admitted(),)) == said
 
 
-def test_a_robot_of_no_sequence_that_is_elsewhere_though_it_was_not_reset() -> None:
+def test_a_robot_without_sequence_elsewhere_without_a_reset_is_impossible() -> None:
     said = judged(server_state(cycle=101, sequence=0, plan=AT_REST, q_cmd=(0.5,) * 6), BEFORE)
     assert said == "a setpoint of joint 1 that no admission leads to"
     assert judged(server_state(cycle=101, sequence=0, plan=AT_REST), BEFORE) is None
 
 
-def test_a_plan_counts_though_nothing_is_sent_of_it_now() -> None:
+def test_a_plan_is_checked_even_at_its_end() -> None:
     said = judged(server_state(cycle=101, plan=MOVING), BEFORE)
     assert said == "a plan that sequence 1 is not"
 
@@ -83,14 +83,14 @@ def test_a_plan_counts_though_nothing_is_sent_of_it_now() -> None:
         Plan(dq=(*DQ[:5], 2e-3), brake_cycles=3, step=0),
     ],
 )
-def test_a_plan_that_was_not_admitted(plan: Plan) -> None:
+def test_an_unadmitted_plan_is_impossible(plan: Plan) -> None:
     said = judged(moving(plan=plan), BEFORE, in_flight=(admitted(),))
     assert said == "a plan that sequence 2 is not"
     assert judged(moving(102, plan=plan), moving()) == said
     assert judged(moving(102), moving()) is None
 
 
-def test_a_robot_at_rest_has_no_plan_but_it_does_not_rest_while_its_setpoint_moves() -> None:
+def test_a_robot_at_rest_needs_no_plan_and_its_setpoint_must_not_move() -> None:
     assert judged(moving(103, plan=AT_REST, dq=(0.0,) * 6), moving()) is None
     assert judged(moving(103, plan=AT_REST), moving()) == "a plan that sequence 2 is not"
 
@@ -107,7 +107,7 @@ def test_an_admission_is_followed_along_its_brake_without_states(shares: tuple[f
 
 
 @pytest.mark.parametrize("shares", [(1.001,), (1, 1), (1 + 2 / 3,), (0.5,), (-1,), (0, 0, 0, 0, 100)])
-def test_a_setpoint_that_no_admission_leads_to(shares: tuple[float, ...]) -> None:
+def test_a_setpoint_off_every_admitted_path_is_impossible(shares: tuple[float, ...]) -> None:
     said = "a setpoint of joint 1 that no admission leads to"
     assert judged(at(*shares), BEFORE, in_flight=(admitted(),)) == said
     held = at(*shares, phase=Phase.HELD, sequence=1, plan=AT_REST, dq=(0.0,) * 6)
@@ -116,13 +116,13 @@ def test_a_setpoint_that_no_admission_leads_to(shares: tuple[float, ...]) -> Non
     assert judged(one, BEFORE) == "a setpoint of joint 4 that no admission leads to"
 
 
-def test_under_an_earlier_gate_too_a_robot_stays_where_nothing_new_was_admitted() -> None:
+def test_under_an_earlier_gate_an_unadmitted_robot_must_stay() -> None:
     before = BEFORE.model_copy(update={"epoch": 7})
     state = at(1, epoch=7, sequence=1, plan=AT_REST, dq=(0.0,) * 6)
     assert judged(state, before) == "a setpoint of joint 1 that no admission leads to"
 
 
-def test_the_brake_goes_on_from_where_it_was() -> None:
+def test_the_brake_continues_from_its_step() -> None:
     begun = at(1)
     begun = begun.model_copy(update={"plan": MOVING.model_copy(update={"step": 0})})
     assert judged(at(1, 2 / 3), begun) is None
@@ -130,7 +130,7 @@ def test_the_brake_goes_on_from_where_it_was() -> None:
     assert judged(at(1, 1), begun) is not None
 
 
-def test_a_reset_takes_the_setpoint_that_the_krc_has() -> None:
+def test_a_reset_adopts_the_setpoint_of_the_krc() -> None:
     held = server_state(phase=Phase.HELD, plan=AT_REST, resets=3)
     elsewhere = {"cycle": 101, "plan": AT_REST, "sequence": 0, "q_cmd": (0.7,) * 6}
     assert judged(server_state(**elsewhere, resets=4), held, resets=4) is None
@@ -152,7 +152,7 @@ def test_a_reset_takes_the_setpoint_that_the_krc_has() -> None:
         (99 - GAP, Phase.HELD, False),
     ],
 )
-def test_a_cycle_that_leaps(cycle: int, phase: Phase, is_possible: bool) -> None:
+def test_a_jump_of_the_cycle_number_is_impossible(cycle: int, phase: Phase, is_possible: bool) -> None:
     before = server_state(cycle=100, plan=AT_REST)
     if cycle < 0:
         cycle, before = cycle + 100, server_state(cycle=200, plan=AT_REST)
@@ -199,7 +199,7 @@ def ghosts(rig: Rig) -> dict[str, ServerState]:
 
 
 @pytest.mark.parametrize("name", ["sequence", "plan", "leap", "elsewhere", "reset"])
-def test_all_robots_are_held_and_the_way_out_is_a_reset(name: str) -> None:
+def test_an_impossible_state_holds_all_robots_until_a_reset(name: str) -> None:
     rig = Rig()
     assert rig.sim.disbelieved == ""
     known = {robot: gated.tracker.state for robot, gated in rig.sim.robots.items()}
@@ -225,7 +225,7 @@ def test_all_robots_are_held_and_the_way_out_is_a_reset(name: str) -> None:
     assert rig.sim.counters["impossible_states_fr"] == 1
 
 
-def test_a_ghost_that_says_it_is_held_is_found_out_by_the_next_true_state() -> None:
+def test_a_forged_held_state_is_detected_by_the_next_true_state() -> None:
     rig = Rig()
     ghost = rig.state.model_copy(update={"cycle": rig.state.cycle + 5000, "phase": Phase.HELD})
     rig.sim.on_state(ghost)
@@ -275,7 +275,7 @@ class LossyRig(Rig):
 
 @pytest.mark.long
 @pytest.mark.parametrize("seed", range(5))
-def test_states_that_are_lost_duplicated_or_late_are_possible(seed: int) -> None:
+def test_lost_duplicated_and_late_states_are_possible(seed: int) -> None:
     rig = LossyRig(seed)
     assert rig.random is not None
     for _ in range(400):
@@ -293,7 +293,7 @@ def test_states_that_are_lost_duplicated_or_late_are_possible(seed: int) -> None
     assert not [name for name in rig.sim.counters if name.startswith("impossible") and rig.sim.counters[name]]
 
 
-def test_a_cell_that_is_left_alone_for_an_hour_is_possible_once_it_is_heard_again() -> None:
+def test_states_after_an_hour_of_silence_are_possible() -> None:
     rig = Rig()
     for server in rig.servers.values():
         server._cycle += 300_000
@@ -304,7 +304,7 @@ def test_a_cell_that_is_left_alone_for_an_hour_is_possible_once_it_is_heard_agai
     assert not rig.sim.counters["impossible_states_fr"]
 
 
-def test_longer_than_a_robot_server_waits_for_its_gate() -> None:
+def test_a_gap_longer_than_the_gate_timeout_is_impossible() -> None:
     rig = Rig()
     timeout = CELL.description.gate.gate_timeout_s / CELL.description.cycle_s
     assert all(robot.longest_gap_cycles > 2 * timeout for robot in rig.sim.robots.values())

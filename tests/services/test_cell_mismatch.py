@@ -58,9 +58,7 @@ def test_the_gate_admits_nothing_while_a_robot_server_has_read_another_cell() ->
     assert str(OURS) in reset.message
 
 
-def test_a_robot_server_holds_its_robot_under_a_gate_that_has_read_another_cell_until_it_is_put_right() -> (
-    None
-):
+def test_a_robot_server_holds_its_robot_under_a_gate_of_another_cell() -> None:
     rig = Rig()
     for _ in range(3):
         rig.request()
@@ -139,7 +137,7 @@ class _Hli:
 
 @pytest.mark.parametrize("service", ["sim", "robot-server-gr"])
 @pytest.mark.parametrize("cell", [str(THEIRS), ""])
-def test_the_hli_hands_nothing_on_to_services_that_have_read_another_cell(service: str, cell: str) -> None:
+def test_the_hli_forwards_nothing_to_services_of_another_cell(service: str, cell: str) -> None:
     hli = _Hli()
     hli.hear(service, cell)
     (output,) = hli.move()
@@ -158,7 +156,7 @@ def test_the_hli_hands_nothing_on_to_services_that_have_read_another_cell(servic
     assert published(hli.core.requests.on_stop(StopRequest(), _Client(), 50.0), Realm.GUARDED)
 
 
-def test_once_it_is_put_right_the_hli_hands_on_again() -> None:
+def test_after_the_mismatch_is_corrected_the_hli_forwards_again() -> None:
     hli = _Hli()
     hli.hear("sim", str(THEIRS))
     assert not published(hli.move()[:1], Realm.GUARDED)

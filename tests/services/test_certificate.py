@@ -113,7 +113,7 @@ def test_travel_bounds_the_motion_of_every_corner_within_the_box(cell, proximity
                     assert proximity.least(group) >= bound - 1e-6
 
 
-def test_an_empty_budget_means_no(cell, proximity):
+def test_an_empty_budget_refuses(cell, proximity):
     q = cell.robots["fr"].home
     far = Span.around(
         np.array([q, np.clip(q + 1.0, cell.robots["fr"].lower, cell.robots["fr"].upper)]), np.zeros(6), 0.0
@@ -160,7 +160,7 @@ def test_the_largest_share_is_found_to_a_thirty_second_by_one_certificate(greate
     assert len(judged.certificates) == (1 if greatest >= LEAST else 0)
 
 
-def test_where_suspects_are_refused_the_least_share_nothing_else_is_asked():
+def test_suspects_refused_at_the_least_share_end_the_search():
     judged = Judged(up_to(1.0), up_to(0.02))
     assert judged.largest() == 0.0
     assert (judged.certificates, len(judged.suspects)) == ([], 1)
@@ -174,20 +174,20 @@ def test_a_new_failing_pair_becomes_a_suspect():
     assert judged.suspects[-1] == ["0", "1"]
 
 
-def test_where_suspects_are_never_the_right_ones_the_least_share_is_tried():
+def test_with_wrong_suspects_the_least_share_is_tried():
     judged = Judged(up_to(LEAST), up_to(1.0))
     assert judged.largest() == LEAST
     assert judged.certificates[-1] == LEAST
     assert len(judged.certificates) == 4
 
 
-def test_where_suspects_are_never_the_right_ones_the_least_share_has_to_be_certified_too():
+def test_with_wrong_suspects_the_least_share_must_be_certified_too():
     judged = Judged(up_to(0.0), up_to(1.0))
     assert judged.largest() == 0.0
     assert judged.certificates[-1] == LEAST
 
 
-def test_where_nothing_stands_in_the_way_no_more_is_asked_for_than_was_refused():
+def test_without_obstacles_no_share_above_the_refused_one_is_tried():
     judged = Judged(up_to(1.0), up_to(1.0))
     assert REFUSED - LEAST <= judged.largest() < REFUSED
 
@@ -235,7 +235,7 @@ def cornered():
 
 
 @pytest.mark.long
-def test_nothing_is_certified_that_the_readable_code_does_not_certify(cornered):
+def test_the_kernel_certifies_only_what_the_readable_code_certifies(cornered):
     by_kernel = [CompiledCertifier(PROXIMITY).certify(*one).holds for one in cornered]
     readable = [Certifier(PROXIMITY, AMPLE).certify(*one).holds for one in cornered]
     usual = [Certifier(PROXIMITY).certify(*one).holds for one in cornered]
@@ -244,7 +244,7 @@ def test_nothing_is_certified_that_the_readable_code_does_not_certify(cornered):
     assert sum(by_kernel) >= sum(usual)
 
 
-def test_the_pair_that_is_told_is_the_readable_ones(cornered):
+def test_the_reported_pair_agrees_with_the_readable_code(cornered):
     for name, whole, others in cornered:
         told = CompiledCertifier(PROXIMITY).certify(name, whole, others)
         expected = Certifier(PROXIMITY, AMPLE).certify(name, whole, others)
@@ -253,7 +253,7 @@ def test_the_pair_that_is_told_is_the_readable_ones(cornered):
             assert told.binding.nearest.pair == expected.binding.nearest.pair
 
 
-def test_nothing_that_was_certified_before_changes_a_bit(cornered):
+def test_earlier_certificates_do_not_change_a_bit(cornered):
     def answers():
         for one in cornered:
             certificate = CompiledCertifier(PROXIMITY).certify(*one)
@@ -266,7 +266,7 @@ def test_nothing_that_was_certified_before_changes_a_bit(cornered):
     assert list(answers()) == first
 
 
-def test_where_a_certificate_failed_it_fails_again_for_those_pairs_alone(cornered):
+def test_a_failed_certificate_fails_again_for_its_open_pairs_alone(cornered):
     failed = 0
     for name, whole, others in cornered:
         certificate = CompiledCertifier(PROXIMITY).certify(name, whole, others)
@@ -281,7 +281,7 @@ def test_where_a_certificate_failed_it_fails_again_for_those_pairs_alone(cornere
     assert failed
 
 
-def test_a_budget_is_what_may_be_searched_in_parts(cornered):
+def test_the_budget_counts_searches_in_parts(cornered):
     divided = [one for one in cornered if CompiledCertifier(PROXIMITY).certify(*one).holds]
     spent = 0
     for one in divided:

@@ -95,7 +95,7 @@ def there_and_back(start, far, end):
     return Windows(points, exact_drives(0, len(start)), 0, len(points) - 1)
 
 
-def test_each_part_of_a_path_that_comes_near_twice_is_looked_at(certify):
+def test_each_near_part_of_a_path_is_checked(certify):
     clear_low, clear_near = LOW - one_joint("fr", 1, 0.005), NEAR - one_joint("gr", 4, 0.005)
     beside = standing("fr", FR_BESIDE_GR)
     assert certify("fr", there_and_back(clear_low, HIGH, clear_low)).holds is True
@@ -109,7 +109,7 @@ def test_each_part_of_a_path_that_comes_near_twice_is_looked_at(certify):
 
 @pytest.mark.parametrize("end_clear", [0.005, 0.1])
 @pytest.mark.parametrize("turn", [0.4, -0.4])
-def test_the_part_of_a_path_that_is_looked_at_last_counts_whichever_it_is(certify, turn, end_clear):
+def test_the_last_checked_part_of_a_path_counts(certify, turn, end_clear):
     """Another joint goes further, one way or the other, so that the end that is too near is divided first or last."""
     turned, rolled = one_joint("fr", 0, turn), one_joint("gr", 8, turn)
     low, clear = LOW - one_joint("fr", 1, 0.004), LOW - one_joint("fr", 1, end_clear)
@@ -123,7 +123,7 @@ def test_the_part_of_a_path_that_is_looked_at_last_counts_whichever_it_is(certif
 
 
 @pytest.mark.parametrize("order", [1, -1])
-def test_a_part_that_waits_while_another_is_divided_still_counts(certify, order):
+def test_a_part_waiting_during_a_division_still_counts(certify, order):
     """The other part comes back with its gripper turned: near enough for two divisions, and never too near."""
     far, turned = NEAR - one_joint("gr", 4, 0.3), NEAR - one_joint("gr", 4, 0.005) + one_joint("gr", 8, 0.05)
     beside = standing("fr", FR_BESIDE_GR)
@@ -143,7 +143,7 @@ def test_a_path_that_brings_a_robot_too_near_to_itself_is_not_certified(certify,
     assert set(failed.binding.nearest.pair) == {"fr/tool_camera", "fr/base"}
 
 
-def test_of_several_courses_of_another_robot_each_counts(certify):
+def test_each_candidate_trajectory_of_another_robot_counts(certify):
     near, far = ("gr", standing("gr", NEAR)), ("gr", standing("gr", FAR))
     beside = standing("fr", FR_BESIDE_GR)
     assert certify("fr", beside, far, far).holds is True
@@ -159,12 +159,12 @@ def test_a_certificate_that_holds_has_no_open_pairs(certifier):
     )
 
 
-def test_the_structure_is_told_before_the_other_robot(certify):
+def test_the_structure_is_reported_before_the_other_robot(certify):
     low = standing("fr", LOW)
     assert certify("fr", low, ("gr", standing("gr", HOME["gr"]))).binding.nearest.pair[1] == "structure/floor"
 
 
-def test_a_certificate_names_the_checked_pair_with_the_least_room(certify):
+def test_a_certificate_names_the_checked_pair_with_the_least_clearance(certify):
     beside = standing("fr", FR_BESIDE_GR)
     close = standing("gr", with_room(5e-4, "gr", BESIDE, 4))
     for binding in (
@@ -179,7 +179,7 @@ def test_a_certificate_names_the_checked_pair_with_the_least_room(certify):
     assert not any(name.startswith("gr") for name in alone.nearest.pair)
 
 
-def test_a_path_that_was_divided_names_the_pair_of_the_first_look(certify):
+def test_a_divided_path_names_the_pair_of_its_first_query(certify):
     whole = path(NEAR - one_joint("gr", 4, 0.01), FAR)
     beside = ("fr", standing("fr", FR_BESIDE_GR))
     divided = certify("gr", whole, beside)
@@ -187,7 +187,7 @@ def test_a_path_that_was_divided_names_the_pair_of_the_first_look(certify):
     assert set(divided.binding.nearest.pair) == {"fr/base", "gr/tool_gripper"}  # inflated by all of the path
 
 
-def test_pairs_that_are_left_out_are_neither_judged_nor_told(certifier):
+def test_omitted_pairs_are_neither_checked_nor_reported(certifier):
     low, gr = standing("fr", LOW), standing("gr", HOME["gr"])
     proximity = CompiledProximity(CELL)
 
@@ -228,7 +228,7 @@ def test_an_indivisible_piece_is_certified_as_it_is_or_not_at_all(certify, fails
     assert certify("fr", turning, ("gr", around)).holds is False
 
 
-def test_the_one_that_can_be_divided_is_even_if_the_other_travels_further(certify):
+def test_of_two_tubes_the_divisible_one_is_divided(certify):
     near = NEAR - one_joint("gr", 4, 0.005)
     mine = path(near, near - one_joint("gr", 4, 0.1))
     wrist = corner(
@@ -240,7 +240,7 @@ def test_the_one_that_can_be_divided_is_even_if_the_other_travels_further(certif
     assert certify("fr", wrist, ("gr", mine)).holds is True
 
 
-def test_a_budget_is_the_number_of_looks_that_may_be_followed_by_others():
+def test_a_budget_is_the_number_of_dividing_queries():
     low = LOW - one_joint("fr", 1, 0.005)
     divided_once = path(low, low - one_joint("fr", 1, 0.17))
     assert not Certifier(PROXIMITY, budget=0).certify("fr", divided_once, []).holds

@@ -92,7 +92,7 @@ def test_a_proof_with_any_changed_or_missing_bit_is_invalid(folder, place, bit, 
     assert not server.goes_first(KEY, MESSAGE, part, 0.0)
 
 
-def test_a_certificate_is_known_by_one_spelling():
+def test_a_certificate_has_one_valid_encoding():
     """Where the signature's last bit is clear, other bytes could say that this bit is none of it."""
     authority = Authority.new("small", now_utc())
     while (certificate := authority.issue("operator-desk", now_utc())[1]).signature[-1] & 1:
@@ -118,7 +118,7 @@ def test_forged_bytes_are_not_authenticated(folder, proof):
     st.binary(min_size=20, max_size=80),
     st.binary(min_size=200, max_size=900),
 )
-def test_a_signed_proof_is_read_as_it_was_written(signature, nonce, certificate):
+def test_a_signed_proof_survives_a_round_trip(signature, nonce, certificate):
     signed = Signed(signature, nonce, certificate)
     assert Signed.parse(signed.pack()) == signed
 
@@ -129,7 +129,7 @@ def test_an_identity_of_another_cells_authority_is_invalid(folder, tmp_path):
     assert server.identity(KEY, MESSAGE, proof, 0.0) == ""
 
 
-def test_who_has_broken_into_a_service_is_no_operator(folder):
+def test_the_identity_of_a_service_proves_no_operator(folder):
     server = bench(folder)
     proof = forged("operator-desk", folder).prove(KEY, MESSAGE, server.challenge(0.0))
     assert server.identity(KEY, MESSAGE, proof, 0.0) == ""
@@ -144,14 +144,14 @@ def test_who_has_broken_into_a_service_is_no_operator(folder):
     assert server.identity(KEY, MESSAGE, prover.prove(KEY, MESSAGE, server.challenge(0.0)), 0.0) == ""
 
 
-def test_anothers_certificate_is_invalid_without_its_key(folder):
+def test_a_foreign_certificate_is_invalid_without_its_key(folder):
     server = bench(folder)
     tower, desk = IdentityProver(folder / "controller-tower"), IdentityProver(folder / "operator-desk")
     tower._certificate = desk._certificate
     assert server.identity(KEY, MESSAGE, tower.prove(KEY, MESSAGE, server.challenge(0.0)), 0.0) == ""
 
 
-def test_a_certificate_that_ends_while_the_hli_runs_is_worth_nothing_from_then_on(folder):
+def test_a_certificate_that_expires_while_the_hli_runs_becomes_invalid(folder):
     clock = [now_utc()]
     server, desk = bench(folder, lambda: clock[0]), IdentityProver(folder / "operator-desk")
     before = desk.prove(KEY, MESSAGE, server.challenge(0.0))
@@ -160,7 +160,7 @@ def test_a_certificate_that_ends_while_the_hli_runs_is_worth_nothing_from_then_o
     assert server.identity(KEY, MESSAGE, desk.prove(KEY, MESSAGE, server.challenge(0.0)), 0.0) == ""
 
 
-def test_tokens_and_identities_are_never_taken_for_one_another(folder):
+def test_tokens_and_identities_are_never_confused(folder):
     server, desk = bench(folder), IdentityProver(folder / "operator-desk")
     challenge = server.challenge(0.0)
     by_token, signed = Prover("token").prove(KEY, MESSAGE, challenge), desk.prove(KEY, MESSAGE, challenge)
@@ -178,7 +178,7 @@ def test_a_message_that_is_too_long_is_not_authenticated(folder):
     assert not server.goes_first(KEY, long, proof, 0.0)
 
 
-def test_a_flood_of_certificates_leaves_nothing_behind_and_costs_no_signature(folder):
+def test_a_flood_of_certificates_uses_no_memory_and_verifies_no_signature(folder):
     server = bench(folder)
     prover = forged("operator-desk", folder)
     for _ in range(20):

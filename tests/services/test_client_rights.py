@@ -91,7 +91,7 @@ def test_permitted_clients_are_accepted_and_others_refused(topic, right, role):
     assert is_refused(topic, right.what, None, IDENTITIES[role]) == wanted
 
 
-def test_a_topic_has_rights_if_it_is_of_clients_and_each_action_once():
+def test_each_client_topic_and_action_has_its_rights_once():
     for topic in topics.TOPICS:
         of_clients = topic.realm is Realm.OPEN and Party.CLIENT in (*topic.publishers, *topic.readers)
         assert bool(topic.rights) == of_clients
@@ -99,7 +99,7 @@ def test_a_topic_has_rights_if_it_is_of_clients_and_each_action_once():
     assert {right.what for right in topics.LEASE.rights} == set(LeaseAction)
 
 
-def test_another_row_changes_what_is_refused(monkeypatch):
+def test_a_changed_row_changes_the_refusals(monkeypatch):
     assert topics.RESET.least_role() is ClientRole.OPERATOR
     change_row(monkeypatch, "RESET", rights=(Right(least=ClientRole.OBSERVER),))
     assert not is_refused(topics.RESET, "", None, "")

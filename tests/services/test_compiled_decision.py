@@ -60,7 +60,7 @@ def told(certificate):
     )
 
 
-def test_all_tubes_in_one_call_are_certified_as_one_by_one():
+def test_tubes_in_one_call_are_certified_like_single_tubes():
     held = []
     for blend, tubes in cornered():
         for share in (0.0, 1 / 32, 0.5, 1.0):
@@ -82,7 +82,7 @@ def test_the_tightest_pair_is_returned_on_request_only():
         assert told(quiet)[::3] == told(asking)[::3]
 
 
-def test_the_share_that_is_found_in_one_call_is_the_one_found_one_by_one():
+def test_the_share_of_one_call_agrees_with_single_calls():
     shares = []
     for blend, tubes in cornered():
         name, scale = blend.robot.name, blend.at_most
@@ -120,7 +120,7 @@ DQ = 3 * one_joint("fr", 0, LIMITS["fr"].max_dv[0])
     ids=["at rest", "off its setpoint", "in motion", "in flight"],
 )
 @pytest.mark.parametrize("request_", [np.zeros(6), 2 * DQ, -LIMITS["fr"].max_dq, DQ[::-1] * 4])
-def test_the_kernel_lays_the_same_course_to_the_bit(robot, request_):
+def test_the_kernel_computes_the_same_trajectory_bit_for_bit(robot, request_):
     blend = Blend(robot, LIMITS["fr"], robot.brake(), request_, 0.9)
     course = course_of(blend)
     for share in (0.9, 0.0, 0.9 / 32, 0.45, 0.71):
@@ -131,7 +131,7 @@ def test_the_kernel_lays_the_same_course_to_the_bit(robot, request_):
         assert (laid.tolerance is drives.tolerance, laid.spread) == (True, drives.spread)
 
 
-def test_a_brake_for_which_no_room_was_made_is_not_laid():
+def test_a_brake_beyond_the_allocated_arrays_is_refused():
     robot = at_rest("fr", HOME["fr"])
     blend = Blend(robot, LIMITS["fr"], robot.brake(), 9 * DQ, 0.2)
     course = course_of(blend)
@@ -144,7 +144,7 @@ STEPS = st.lists(st.floats(-0.02, 0.02), min_size=6, max_size=6).map(np.array)
 
 
 @given(STEPS, st.integers(1, 40), st.integers(-1, 45), st.integers(0, 3))
-def test_setpoints_are_those_of_the_branch_to_the_bit(dq, cycles, step, in_path):
+def test_setpoints_agree_with_the_branch_bit_for_bit(dq, cycles, step, in_path):
     past = HOME["fr"] + np.arange(3)[:, None] * 1e-3
     path = tuple(past[-1] + k * 1e-3 for k in range(1, in_path + 1))
     branch = Branch(dq, cycles, step, path)
@@ -154,7 +154,7 @@ def test_setpoints_are_those_of_the_branch_to_the_bit(dq, cycles, step, in_path)
     np.testing.assert_array_equal(tube(past, branch, exact_drives(2, 6)).points, points)
 
 
-def test_a_course_that_stands_does_not_move():
+def test_a_trajectory_at_rest_does_not_move():
     past = np.repeat(HOME["fr"][None], 3, axis=0)
     assert not course_points(past, past[:0], np.zeros(6), 5, -1)[1]
     assert course_points(past, past[:1] + 1e-9, np.zeros(6), 5, -1)[1]
@@ -164,7 +164,7 @@ NEAR_A_LIMIT = st.sampled_from([-1.0, -1.0 + 1e-10, -0.5, 0.0, 0.3, 1.0 - 1e-10,
 
 
 @given(*[st.lists(NEAR_A_LIMIT, min_size=6, max_size=6).map(np.array)] * 3, st.floats(-1.001, 1.001))
-def test_a_request_keeps_all_limits_exactly_where_each_leaves_it_whole(brake, request_, last, where):
+def test_a_request_keeps_all_limits_exactly_if_each_limit_admits_it_in_full(brake, request_, last, where):
     limits = LIMITS["fr"]
     brake, last_dq = brake * limits.max_dv, last * limits.max_dv
     request_ = last_dq + request_ * limits.max_dv

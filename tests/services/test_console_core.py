@@ -66,7 +66,7 @@ def test_garbage_is_answered_with_field_value_and_bound_and_counted(bench, messa
     assert isinstance(desk.send("ping"), Pong)
 
 
-def test_garbage_with_an_id_is_answered_to_that_id(bench):
+def test_garbage_with_an_id_is_answered_with_that_id(bench):
     desk = bench.browser()
     desk.raw('{"type": "jog", "id": "c7", "sent_ms": 0, "robot": "fr", "wish": "all"}')
     assert desk.got[-1].id == "c7"
@@ -124,7 +124,7 @@ def test_an_observer_may_stop():
     assert len(bench.asked("stop")) == 1
 
 
-def test_the_same_id_twice_is_done_once_and_answered_twice(driving_anna, bench):
+def test_a_repeated_id_is_executed_once_and_answered_twice(driving_anna, bench):
     for _ in range(2):
         ack = driving_anna.send("jog", id="same", **JOG)
         assert ack.outcome is DONE
@@ -132,13 +132,13 @@ def test_the_same_id_twice_is_done_once_and_answered_twice(driving_anna, bench):
     assert bench.core.counters["repeated"] == 1
 
 
-def test_a_stop_that_comes_twice_is_asked_once_and_answered_twice(bench):
+def test_a_repeated_stop_is_requested_once_and_answered_twice(bench):
     desk = bench.browser()
     assert [desk.send("stop", id="s1").outcome for _ in range(3)] == [ASKED] * 3
     assert len(bench.asked("stop")) == 1
 
 
-def test_a_late_wish_expires(driving_anna, bench):
+def test_a_late_motion_command_expires(driving_anna, bench):
     ack = driving_anna.send("jog", late_s=0.6, **JOG)
     assert ack.outcome is EXPIRED
     assert "0.60 s late; bound 0.5 s" in ack.text
@@ -147,7 +147,7 @@ def test_a_late_wish_expires(driving_anna, bench):
 
 
 @pytest.mark.parametrize("hours", [-1, 1])
-def test_a_clock_that_is_an_hour_off_makes_no_difference(driving_anna, bench, hours):
+def test_a_clock_an_hour_off_changes_nothing(driving_anna, bench, hours):
     tower = bench.browser("tower")
     tower.ahead_s = 3600.0 * hours
     tower.send("ping")
@@ -196,21 +196,21 @@ def test_a_robot_without_a_camera_does_not_follow(bench):
         assert "no camera" in desk.send(kind, robot="gr", **fields).text
 
 
-def test_on_an_old_picture_nothing_moves(driving_anna, bench):
+def test_with_an_old_picture_nothing_moves(driving_anna, bench):
     bench.now_s += 0.3
     ack = driving_anna.send("jog", **JOG)
     assert ack.outcome is REFUSED
     assert "the picture is old" in ack.text
 
 
-def test_a_held_robot_says_why_it_does_not_move_and_what_to_do(driving_anna, bench):
+def test_a_command_to_a_held_robot_is_answered_with_reason_and_remedy(driving_anna, bench):
     bench.states(Phase.HELD, ReasonCode.TRACKING_ERROR)
     text = driving_anna.send("jog", **JOG).text
     assert "left its commanded path" in text
     assert "reset" in text
 
 
-def test_a_stop_is_asked_then_stopping_then_at_rest(driving_anna, bench):
+def test_a_stop_proceeds_from_asked_to_stopping_to_at_rest(driving_anna, bench):
     assert driving_anna.send("stop", id="s").outcome is ASKED
     assert driving_anna.status().stop is StopPhase.ASKED
     assert driving_anna.status().wanted_by == "desk"
@@ -232,7 +232,7 @@ def test_a_stop_is_asked_then_stopping_then_at_rest(driving_anna, bench):
     assert driving_anna.status().stop is StopPhase.NONE
 
 
-def test_a_stop_that_the_hli_does_not_hear_stays_asked_and_says_so(driving_anna, bench):
+def test_a_stop_without_hli_stays_asked_and_unconfirmed(driving_anna, bench):
     driving_anna.send("stop", id="s")
     driving_anna.hears(bench.core.answered(bench.asked("stop")[0].request, False, "no answer", bench.now_s))
     assert driving_anna.acks("s")[-1].outcome is REFUSED
@@ -242,7 +242,7 @@ def test_a_stop_that_the_hli_does_not_hear_stays_asked_and_says_so(driving_anna,
     assert any("not confirmed" in text for text in driving_anna.events("stop"))
 
 
-def test_robots_that_something_else_holds_at_rest_confirm_a_stop_that_was_asked_for(driving_anna, bench):
+def test_robots_held_at_rest_by_another_cause_confirm_a_requested_stop(driving_anna, bench):
     driving_anna.send("stop")
     bench.states(Phase.HELD, ReasonCode.KRC_LOST)
     bench.state(Phase.HELD, ReasonCode.KRC_LOST, moved=0.01)
@@ -267,7 +267,7 @@ def test_a_stop_from_elsewhere_is_shown(driving_anna, bench):
     assert driving_anna.status().wanted_by is None
 
 
-def test_a_robot_that_lost_its_controller_is_no_stop(driving_anna, bench):
+def test_a_lost_controller_is_not_shown_as_a_stop(driving_anna, bench):
     bench.states(Phase.HELD, ReasonCode.CONTROLLER_LOST)
     assert driving_anna.status().stop is StopPhase.NONE
 
@@ -315,12 +315,12 @@ def test_more_clients_than_can_be_served_are_turned_away(bench):
     assert bench.core.counters["clients_refused"] == 1
 
 
-def test_two_of_one_name_are_told_apart(bench):
+def test_clients_of_the_same_name_are_distinguished(bench):
     assert bench.browser("desk").client.name == "desk"
     assert bench.browser("desk").client.name == "desk 2"
 
 
-def test_a_status_says_what_a_camera_looks_at_and_how_well_it_sees_it(bench):
+def test_a_status_names_the_target_and_the_sight_of_a_camera(bench):
     bench.states()
     desk = bench.browser()
     bench.state(target=ViewTarget(leader="gr", aim_offset_m=(0.0, 0.0, 0.04)), sight=Sight.HIDDEN)
@@ -347,7 +347,7 @@ def test_a_status_is_sent_when_it_changes_and_once_a_second(bench):
     assert len(desk.got) == count + 1
 
 
-def test_a_silent_hli_is_told_and_the_old_view_is_marked(bench):
+def test_a_silent_hli_is_reported_and_the_old_view_is_marked(bench):
     bench.states()
     desk = bench.browser()
     bench.core.board.heard({}, bench.now_s)
@@ -377,7 +377,7 @@ def test_a_limiting_factor_is_shown_in_words_and_repeated_refusals_in_one_line(b
     assert [message.count for message in desk.got if getattr(message, "kind", "") == "verdict"] == [1, 99]
 
 
-def test_a_message_of_states_that_do_not_fit_is_passed_over(bench):
+def test_a_message_with_mismatching_states_is_ignored(bench):
     bench.states()
     state = bench.core.robots["fr"].feed.state
     bench.core.picture.take_state(state.model_copy(update={"q": (0.0,)}), bench.now_s)

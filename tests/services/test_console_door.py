@@ -34,7 +34,7 @@ async def answered(host, head):
 @pytest.mark.parametrize(
     "origin", ["https://evil.example", "http://127.0.0.1:1", "http://localhost.evil.example", "null"]
 )
-async def test_a_page_from_elsewhere_opens_no_websocket(tmp_path, origin):
+async def test_a_page_of_another_site_opens_no_websocket(tmp_path, origin):
     async with served(tmp_path) as (console, host):
         with pytest.raises(websockets.InvalidStatus) as refused:
             await websockets.connect(live(host), origin=origin)
@@ -44,7 +44,7 @@ async def test_a_page_from_elsewhere_opens_no_websocket(tmp_path, origin):
 
 
 @pytest.mark.long
-async def test_a_web_site_that_calls_itself_by_this_address_is_turned_away(tmp_path):
+async def test_a_request_under_another_host_name_is_refused(tmp_path):
     async with served(tmp_path) as (_, host):
         for path in ("/scene.json", "/health"):
             status = await answered(host, [f"GET {path} HTTP/1.1", "Host: rebound.example"])
@@ -52,9 +52,7 @@ async def test_a_web_site_that_calls_itself_by_this_address_is_turned_away(tmp_p
         assert " 200 " in await answered(host, ["GET /scene.json HTTP/1.1", f"Host: {host}"])
 
 
-async def test_the_page_comes_under_a_policy_and_nothing_else_of_this_computer_comes_with_it(
-    tmp_path, caplog
-):
+async def test_the_page_has_a_content_security_policy_and_other_files_are_not_served(tmp_path, caplog):
     async with served(tmp_path) as (_, host):
         for path in ("/", "/index.js", "/vendor/three.js"):
             answer = await answered(host, [f"GET {path} HTTP/1.1", f"Host: {host}"])
@@ -70,7 +68,7 @@ async def test_the_page_comes_under_a_policy_and_nothing_else_of_this_computer_c
 
 
 @pytest.mark.long
-async def test_a_wrong_token_is_turned_away_and_none_makes_an_observer(tmp_path):
+async def test_a_wrong_token_is_refused_and_no_token_makes_an_observer(tmp_path):
     async with served(tmp_path, token=TOKEN) as (console, host):
         with pytest.raises(websockets.InvalidStatus):
             await websockets.connect(live(host, token="guessed"))
@@ -87,7 +85,7 @@ async def test_a_wrong_token_is_turned_away_and_none_makes_an_observer(tmp_path)
             assert (hello["operator"], hello["client"]) == (True, "desk")
 
 
-async def test_a_console_tells_its_browsers_which_one_it_is_and_another_is_another(tmp_path):
+async def test_each_console_process_has_its_own_id_for_browsers(tmp_path):
     told_by = []
     for _ in range(2):
         async with served(tmp_path) as (_, host):
@@ -126,7 +124,7 @@ async def test_text_that_is_not_utf_8_ends_its_connection_and_is_counted_without
 
 
 @pytest.mark.long
-async def test_a_message_beyond_all_bounds_ends_its_connection_and_no_other(tmp_path):
+async def test_an_oversized_message_ends_only_its_connection(tmp_path):
     async with (
         served(tmp_path) as (_, host),
         websockets.connect(live(host)) as other,
@@ -138,7 +136,7 @@ async def test_a_message_beyond_all_bounds_ends_its_connection_and_no_other(tmp_
         assert await told(other, "status")
 
 
-async def test_a_stop_without_an_hli_is_asked_for_and_not_said_to_have_happened(tmp_path):
+async def test_a_stop_without_an_hli_is_requested_and_not_confirmed(tmp_path):
     async with served(tmp_path) as (_, host), websockets.connect(live(host)) as browser:
         await browser.send('{"type": "stop", "id": "s"}')
         assert (await told(browser, "ack"))["outcome"] == "asked"
@@ -147,7 +145,7 @@ async def test_a_stop_without_an_hli_is_asked_for_and_not_said_to_have_happened(
 
 
 @pytest.mark.long
-async def test_a_browser_that_has_gone_is_forgotten(tmp_path):
+async def test_a_disconnected_browser_is_forgotten(tmp_path):
     async with served(tmp_path) as (console, host):
         async with websockets.connect(live(host)) as browser:
             await told(browser, "hello")
@@ -157,7 +155,7 @@ async def test_a_browser_that_has_gone_is_forgotten(tmp_path):
 
 
 @pytest.mark.long
-async def test_a_port_that_is_taken_is_an_error_and_no_other_is_chosen(tmp_path):
+async def test_a_used_port_is_an_error_without_a_substitute(tmp_path):
     async with served(tmp_path) as (_, host):
         settings = Settings("lab", True, "127.0.0.1", int(host.split(":")[1]))
         with pytest.raises(ServiceUnreachableError, match=f"{host}: .*in use"):
@@ -204,7 +202,7 @@ def test_a_token_that_can_be_guessed_is_refused():
         Settings("lab", True, "0.0.0.0", 7480, "x" * 15)
 
 
-async def test_who_asks_before_there_is_a_session_waits_for_it():
+async def test_requests_before_the_session_wait_for_it():
     link = HliLink(f"tcp/127.0.0.1:{free_ports(1)[0]}", "lab", ("fr",), None)
     asking = asyncio.ensure_future(link.asking())
     async with link:
@@ -212,7 +210,9 @@ async def test_who_asks_before_there_is_a_session_waits_for_it():
 
 
 @pytest.mark.long
-async def test_a_command_and_a_tick_that_fail_are_told_and_the_browser_stays(tmp_path, monkeypatch, caplog):
+async def test_failing_commands_and_ticks_are_reported_and_the_browser_stays_connected(
+    tmp_path, monkeypatch, caplog
+):
     async with served(tmp_path) as (console, host), websockets.connect(live(host)) as browser:
         monkeypatch.setattr(console.core, "_command", lambda *_: 1 / 0)
         monkeypatch.setattr(console.core.picture, "frame", lambda _: 1 / 0)

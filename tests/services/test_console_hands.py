@@ -67,7 +67,7 @@ def refused(bench, desk, kind, **fields):
         ("choose_master", {"master": "g" * 65}, "master: "),
     ],
 )
-def test_commands_for_two_hands_are_refused_counted_and_disturb_nothing(lab, kind, fields, words):
+def test_bad_commands_for_two_hands_are_refused_and_counted(lab, kind, fields, words):
     bench, desk = lab
     assert words in refused(bench, desk, kind, robot="fr", **fields)
     assert desk.send("jog", robot="fr", hand="tool", wish=TWIST).outcome is DONE
@@ -88,13 +88,13 @@ def test_a_robot_with_two_hands_refuses_single_hand_commands(dawm, kind, fields,
 
 
 @pytest.mark.parametrize(("kind", "fields"), [("mode", HOLD), ("choose_master", {}), ("jog", {"led": True})])
-def test_who_does_not_hold_the_robot_neither_grips_nor_leads(dawm, kind, fields):
+def test_only_the_holder_grips_or_leads(dawm, kind, fields):
     bench, _ = dawm
     assert "desk has it" in refused(bench, bench.browser("tower"), kind, robot="dawm", **fields)
     assert "observer" in refused(bench, bench.browser("eve", operator=False), kind, robot="dawm", **fields)
 
 
-def test_a_hand_does_not_leave_the_object_that_both_hold(dawm):
+def test_a_hand_does_not_leave_a_held_object(dawm):
     bench, desk = dawm
     reports(bench, grip="object")
     words = refused(bench, desk, "jog", robot="dawm", hand="left", wish=TWIST)
@@ -111,7 +111,7 @@ def test_refusals_of_the_driver_are_reported_and_counted(dawm):
     assert bench.core.counters["refused_by_driver"] == 1
 
 
-def test_a_grip_reaches_the_driver_and_how_the_object_is_held_is_told(dawm):
+def test_a_grip_reaches_the_driver_and_the_grasp_is_shown(dawm):
     bench, desk = dawm
     assert desk.send("mode", robot="dawm", **HOLD).outcome is ASKED
     assert bench.driver_requests("dawm")[-1].command.grip == "object"
@@ -124,14 +124,14 @@ def test_a_grip_reaches_the_driver_and_how_the_object_is_held_is_told(dawm):
     assert (told.grip, told.hands_off, told.goes_through) == ("object", off, 0.3)
 
 
-def test_a_hand_of_several_is_jogged_by_its_name(dawm):
+def test_one_of_several_hands_is_jogged_by_its_name(dawm):
     bench, desk = dawm
     for hand, axis in (("left", "left.x"), ("right", "right.x"), ("*", "x")):
         assert desk.send("jog", robot="dawm", hand=hand, wish=TWIST).outcome is DONE
         assert bench.driver_requests("dawm")[-1].command == driving.OperatorCommand({axis: 0.1})
 
 
-def test_a_master_is_chosen_couples_while_it_is_held_and_is_told(lab):
+def test_a_master_is_chosen_coupled_while_held_and_shown(lab):
     bench, desk = lab
     assert desk.send("choose_master", robot="fr", master="gr", scale=0.5).outcome is ASKED
     asked = bench.driver_requests("fr")[-1]

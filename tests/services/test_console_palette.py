@@ -30,7 +30,7 @@ def margins():
 
 @pytest.mark.parametrize("vision", TOLD_APART)
 @pytest.mark.parametrize("look", ["dark", "light"])
-def test_the_states_of_a_robot_are_told_apart(look, vision):
+def test_colours_of_robot_states_are_distinguishable(look, vision):
     dark, light = blocks(PAGE / "theme.css")
     colours = {"dark": dark, "light": light}[look]
     distance, one, other = nearest({name: colours[name] for name in STATES}, vision)
@@ -38,14 +38,14 @@ def test_the_states_of_a_robot_are_told_apart(look, vision):
 
 
 @pytest.mark.parametrize("vision", TOLD_APART)
-def test_the_margins_of_the_nearest_bodies_are_told_apart(vision):
+def test_colours_of_margins_are_distinguishable(vision):
     distance, one, other = nearest(margins(), vision)
     assert distance >= TOLD_APART[vision], f"{one} and {other}"
 
 
 @pytest.mark.parametrize("vision", TOLD_APART)
 @pytest.mark.parametrize("look", [0, 1, 2], ids=["light", "dark", "print"])
-def test_the_phases_of_a_report_are_told_apart(look, vision):
+def test_colours_of_report_phases_are_distinguishable(look, vision):
     colours = blocks(REPORT)[look]
     phases = {name: colours[name] for name in ("ready", "engaged", "braking", "held", "offline")}
     distance, one, other = nearest(phases, vision)
@@ -53,7 +53,7 @@ def test_the_phases_of_a_report_are_told_apart(look, vision):
 
 
 @pytest.mark.parametrize("look", [0, 1], ids=["dark", "light"])
-def test_words_in_these_colours_can_be_read(look):
+def test_text_in_these_colours_is_readable(look):
     colours = blocks(PAGE / "theme.css")[look]
     for name in (*STATES, "text", "soft"):
         assert contrast(colours[name], colours["panel"]) >= 4.5, name

@@ -37,7 +37,7 @@ def bench():
     return ConsoleBench()
 
 
-def test_before_the_first_message_a_frame_says_so(bench):
+def test_a_frame_before_the_first_message_is_marked(bench):
     head, robots = decoded(bench.core.picture.frame(bench.now_s))
     assert (head[0], head[1], head[3]) == (2, 2, bench.now_s)
     assert head[4:6] == (65535, 65535)
@@ -75,7 +75,7 @@ def focus_shown(bench, robot=0):
     return decoded(bench.core.picture.frame(bench.now_s))[1][robot][0][10:]
 
 
-def test_a_cameras_target_is_marked_as_its_controller_says(bench):
+def test_the_target_of_a_camera_is_marked_at_its_reported_place(bench):
     bench.states()
     half = math.sqrt(0.5)
     turned = ToolPose(position=(1.0, 2.0, 3.0), quaternion_wxyz=(half, 0.0, 0.0, half))  # x to y
@@ -103,7 +103,7 @@ def test_each_camera_of_a_cell_has_a_focus_of_its_own():
     assert [focus_shown(bench, robot)[0] for robot in (0, 2)] == [1.0, 2.0]
 
 
-def test_the_log_tells_what_a_camera_looks_at_and_when_it_does_not_see_it(bench):
+def test_the_log_names_the_target_of_a_camera_and_a_lost_sight(bench):
     gr, point = ViewTarget(leader="gr"), ViewTarget(focus_m=(1.0, 0.0, 0.0))
     for target, sight in [(gr, Sight.FRESH), (gr, Sight.FRESH), (gr, Sight.HIDDEN), (point, Sight.FRESH)]:
         bench.state(target=target, sight=sight)
@@ -136,7 +136,7 @@ def test_braking_and_old_states_are_flagged(bench):
     assert decoded(bench.core.picture.frame(bench.now_s))[1][0][0][3] == BRAKING | STALE
 
 
-def test_rates_are_those_of_the_last_second(bench):
+def test_rates_cover_the_last_second(bench):
     bench.states(Phase.ENGAGED)
     for _ in range(3):
         bench.verdict(Outcome.HELD)
@@ -167,7 +167,7 @@ def placed(robot, q):
 
 
 @pytest.mark.parametrize("name", ["lab", "dawm"])
-def test_the_scene_places_tools_cameras_and_every_visual_body_as_pinocchio_does(name):
+def test_the_scene_places_every_frame_and_body_like_pinocchio(name):
     cell = CellModel.load(name)
     scene = scene_of(cell, emulated=True)
     random = np.random.default_rng(0)

@@ -44,7 +44,7 @@ def folder(tmp_path):
 
 
 @pytest.mark.parametrize("name", OUTSIDE)
-def test_nothing_but_a_recording_in_the_folder_is_opened(folder, name):
+def test_only_recordings_in_the_folder_are_opened(folder, name):
     with pytest.raises(NoSuchRecordingError, match="no recording"):
         RecordingFolder(folder).file(name)
 
@@ -56,7 +56,7 @@ def test_only_recordings_are_listed(folder):
     assert RecordingFolder(folder / "gone").listed() == []
 
 
-def test_a_folder_that_is_not_there_is_told_at_the_start(tmp_path):
+def test_a_missing_folder_is_reported_at_the_start(tmp_path):
     with pytest.raises(NoFolderError, match="there is no such folder"):
         Settings("lab", True, "127.0.0.1", free_ports(1)[0], recordings=tmp_path / "nowhere")
 
@@ -129,7 +129,7 @@ async def test_recordings_need_the_consoles_token_if_it_has_one(tmp_path, folder
 
 
 @pytest.mark.long
-async def test_a_file_that_is_no_recording_is_told_and_one_is_read_at_a_time(tmp_path, folder):
+async def test_an_invalid_recording_is_reported_and_one_file_is_read_at_a_time(tmp_path, folder):
     async with served(tmp_path, folder) as (console, cell, port):
         RecordingWriter(folder / "empty.mcap", cell.description_message(), "live").close()
         asked = [asyncio.ensure_future(get(port, f"/recordings/{name}.mcap")) for name in ("run", "empty")]
@@ -142,7 +142,7 @@ async def test_a_file_that_is_no_recording_is_told_and_one_is_read_at_a_time(tmp
         assert console.core.health()
 
 
-def test_behind_a_recording_nothing_is_commanded_but_a_stop():
+def test_while_a_recording_is_shown_only_a_stop_is_accepted():
     bench = ConsoleBench()
     bench.states()
     desk = bench.browser("desk")
@@ -174,7 +174,7 @@ def test_behind_a_recording_nothing_is_commanded_but_a_stop():
     assert desk.send("jog", robot="fr", wish=[0.1, 0, 0, 0, 0, 0]).outcome is DONE
 
 
-def test_a_recording_shown_in_one_browser_binds_no_other():
+def test_a_recording_in_one_browser_does_not_restrict_others():
     bench = ConsoleBench()
     bench.states()
     desk, bert = bench.browser("desk"), bench.browser("bert")
@@ -192,7 +192,7 @@ def recording_bench():
     return bench
 
 
-def test_without_a_folder_nothing_is_recorded_and_the_page_offers_nothing():
+def test_without_a_folder_recording_is_refused_and_not_offered():
     bench = ConsoleBench()
     desk = bench.browser()
     assert desk.send("ping")
@@ -201,7 +201,7 @@ def test_without_a_folder_nothing_is_recorded_and_the_page_offers_nothing():
     assert desk.status().recording is None
 
 
-def test_one_recording_is_written_at_a_time_and_its_end_is_told(recording_bench):
+def test_one_recording_is_written_at_a_time_and_its_end_reported(recording_bench):
     bench = recording_bench
     desk = bench.browser()
     desk.send("ping")
@@ -222,7 +222,7 @@ def test_one_recording_is_written_at_a_time_and_its_end_is_told(recording_bench)
     assert desk.send("record", action="start").outcome is DONE
 
 
-def test_a_recorder_that_dies_is_told_and_another_recording_can_begin(recording_bench):
+def test_a_dead_recorder_is_reported_and_another_recording_can_begin(recording_bench):
     desk = recording_bench.browser()
     desk.send("ping")
     desk.send("record", action="start")
@@ -239,7 +239,7 @@ def test_an_observer_records_nothing(recording_bench):
 
 
 @pytest.mark.long
-async def test_a_recorder_that_cannot_begin_says_why(tmp_path):
+async def test_a_recorder_that_cannot_start_reports_the_reason(tmp_path):
     """There is no HLI; and one that is ended before it wrote is not said to have recorded."""
     told = asyncio.Queue()
     cell = str(write_private_cell(tmp_path))

@@ -35,7 +35,7 @@ def lease(browser, action, **fields):
     return browser.send("lease", robot="fr", action=action, **fields)
 
 
-def test_nobody_moves_a_robot_before_its_lease_is_granted(bench):
+def test_no_client_moves_a_robot_before_its_lease_is_granted(bench):
     desk = bench.browser()
     assert lease(desk, "take", id="t").outcome is ASKED
     assert desk.send("jog", **JOG).outcome is REFUSED
@@ -45,7 +45,7 @@ def test_nobody_moves_a_robot_before_its_lease_is_granted(bench):
     assert desk.status().robots["fr"].lease.mine
 
 
-def test_a_lease_of_an_outside_holder_is_refused_in_the_drivers_words(bench):
+def test_a_lease_of_an_outside_holder_is_refused_with_the_text_of_the_driver(bench):
     desk = bench.browser()
     lease(desk, "take", id="t")
     desk.hears(bench.driver_answers(done=False, text="lease_taken: scripted-leader holds it"))
@@ -64,7 +64,7 @@ def test_the_second_operator_sees_the_holder_and_cannot_move_the_robot(bench, de
         assert "not yours" in lease(tower, action).text
 
 
-def test_it_is_handed_over_when_it_is_asked_for_and_granted(bench, desk, tower):
+def test_a_robot_is_handed_over_on_a_granted_request(bench, desk, tower):
     assert lease(desk, "grant").outcome is REFUSED
     assert lease(tower, "ask").outcome is DONE
     assert desk.status().robots["fr"].lease.wanted_by == "tower"
@@ -90,14 +90,14 @@ def test_a_hand_over_can_be_refused(bench, desk, tower):
     assert desk.send("jog", **JOG).outcome is DONE
 
 
-def test_only_one_asks_at_a_time(bench, desk, tower):
+def test_only_one_client_may_ask_at_a_time(bench, desk, tower):
     lease(tower, "ask")
     assert "tower has asked" in lease(bench.browser("cleo"), "ask").text
     assert lease(tower, "ask").outcome is DONE
     assert "is yours" in lease(desk, "ask").text
 
 
-def test_a_robot_rests_and_is_released_when_its_browser_has_gone(bench, desk, tower):
+def test_a_robot_rests_and_is_released_when_its_browser_disconnects(bench, desk, tower):
     bench.done(bench.core.disconnect(desk.client, bench.now_s))
     rest, release = bench.driver_requests()[-2:]
     assert rest == driving.GiveCommand()
@@ -107,7 +107,7 @@ def test_a_robot_rests_and_is_released_when_its_browser_has_gone(bench, desk, to
     assert lease(tower, "take").outcome is ASKED
 
 
-def test_who_has_gone_is_not_handed_a_robot(bench, desk, tower):
+def test_a_disconnected_client_is_not_handed_a_robot(bench, desk, tower):
     lease(tower, "ask")
     lease(desk, "grant")
     bench.done(bench.core.disconnect(tower.client, bench.now_s))
@@ -117,7 +117,7 @@ def test_who_has_gone_is_not_handed_a_robot(bench, desk, tower):
     assert desk.status().robots["fr"].lease.holder is None
 
 
-def test_who_goes_while_the_lease_is_taken_does_not_keep_it(bench):
+def test_a_client_that_disconnects_during_acquisition_does_not_keep_the_lease(bench):
     desk = bench.browser()
     lease(desk, "take")
     take = bench.driver_requests()[-1]
@@ -127,7 +127,7 @@ def test_who_goes_while_the_lease_is_taken_does_not_keep_it(bench):
     assert lease(bench.browser("tower"), "take").outcome is ASKED
 
 
-def test_after_the_end_of_a_driver_no_client_waits(bench, desk):
+def test_the_end_of_a_driver_ends_all_waiting(bench, desk):
     desk.send("mode", id="m", robot="fr", mode="decoupled")
     desk.hears(bench.core.driver_ended("fr", "signal 9", bench.now_s))
     assert "signal 9" in desk.acks("m")[-1].text
@@ -136,7 +136,7 @@ def test_after_the_end_of_a_driver_no_client_waits(bench, desk):
     assert lease(desk, "take").outcome is ASKED
 
 
-def test_a_lease_that_was_lost_is_told(bench, desk):
+def test_a_lost_lease_is_reported(bench, desk):
     lost = driving.DriverReport(
         stage=driving.DriverStage.FREE, mode=driving.DrivingMode.JOINT, doing="taken by another"
     )
@@ -216,25 +216,25 @@ def held_outside(bench, holder="deltaq drive"):
     bench.core.board.heard({"fr": holder, "gr": None}, bench.now_s)
 
 
-def test_a_holder_at_this_console_is_asked_and_not_robbed(bench, desk, tower):
+def test_a_holder_at_this_console_is_asked_and_not_overridden(bench, desk, tower):
     assert "desk has fr: ask for it" in lease(tower, "take_over").text
     assert not any(getattr(request, "by_force", False) for request in bench.driver_requests())
 
 
-def test_an_observer_takes_nothing_over(bench):
+def test_an_observer_cannot_take_over(bench):
     held_outside(bench)
     assert lease(bench.browser("eve", operator=False), "take_over").outcome is REFUSED
     assert bench.driver_requests() == []
 
 
-def test_a_holder_outside_is_named_and_cannot_be_asked(bench, tower):
+def test_an_outside_holder_is_named_and_cannot_be_asked(bench, tower):
     held_outside(bench)
     seen = tower.status().robots["fr"].lease
     assert (seen.holder, seen.outside, seen.mine) == ("deltaq drive", True, False)
     assert lease(tower, "ask").outcome is REFUSED
 
 
-def test_a_robot_is_taken_from_a_holder_outside_by_force_and_that_is_told(bench, tower):
+def test_a_robot_is_taken_from_an_outside_holder_by_force_and_reported(bench, tower):
     held_outside(bench)
     assert lease(tower, "take_over", id="t").outcome is ASKED
     take = bench.driver_requests()[-1]
@@ -247,7 +247,7 @@ def test_a_robot_is_taken_from_a_holder_outside_by_force_and_that_is_told(bench,
     assert "tower takes fr from deltaq drive" in tower.events("lease")
 
 
-def test_without_the_operators_token_it_stays_with_its_holder_and_the_reason_is_told(bench, tower):
+def test_without_the_operator_token_the_holder_keeps_the_robot_and_the_reason_is_reported(bench, tower):
     held_outside(bench)
     lease(tower, "take_over", id="t")
     tower.hears(bench.driver_answers(done=False, text="not_permitted: the operator's token is needed"))
@@ -285,9 +285,7 @@ def anna(bench):
         {"session": "s1", "operator": False},
     ],
 )
-def test_another_session_name_or_role_does_not_come_back_to_the_robots_of_one_that_has_gone(
-    bench, anna, other
-):
+def test_robots_return_only_to_the_same_session_name_and_role(bench, anna, other):
     goes(bench, anna)
     stranger = comes(bench, **other)
     assert stranger.client is not anna.client
@@ -309,7 +307,7 @@ def test_a_reloaded_page_keeps_its_name_and_its_resting_robot(bench, anna):
     assert again.send("jog", **JOG).outcome is DONE
 
 
-def test_a_page_that_stays_away_has_its_robots_released(bench, anna):
+def test_robots_of_a_page_that_stays_away_are_released(bench, anna):
     goes(bench, anna)
     bench.tick(AWAY_S + 0.1)
     assert isinstance(bench.driver_requests()[-1], driving.Release)
@@ -319,7 +317,7 @@ def test_a_page_that_stays_away_has_its_robots_released(bench, anna):
     assert again.client is not anna.client
 
 
-def test_a_robot_that_follows_is_released_at_once_when_its_page_has_gone(bench, anna):
+def test_a_following_robot_is_released_at_once_when_its_page_disconnects(bench, anna):
     report = driving.DriverReport(
         stage=driving.DriverStage.LEASED, mode=driving.DrivingMode.FOLLOW, doing="follows"
     )
@@ -351,7 +349,7 @@ def test_operators_without_a_name_are_numbered_from_one(bench):
         goes(bench, nameless)
 
 
-def test_who_resets_is_told_by_name(bench, anna):
+def test_a_reset_is_logged_with_its_client(bench, anna):
     anna.send("reset", robot="fr")
     anna.hears(bench.core.answered(bench.asked("reset")[-1].request, False, "cause_stands", bench.now_s))
     anna.status()

@@ -35,7 +35,7 @@ def desk(bench):
         ({"robot": "xx"}, "robot"),
     ],
 )
-def test_a_pose_that_is_none_is_refused_with_its_field(bench, desk, change, named):
+def test_an_invalid_pose_is_refused_with_its_field(bench, desk, change, named):
     before = len(bench.driver_requests())
     ack = desk.send("reach", **{**POSE, **change})
     assert ack.outcome is REFUSED
@@ -43,18 +43,18 @@ def test_a_pose_that_is_none_is_refused_with_its_field(bench, desk, change, name
     assert len(bench.driver_requests()) == before
 
 
-def test_who_does_not_hold_the_robot_plans_nothing_and_asks_nothing(bench, desk):
+def test_only_the_holder_plans_and_asks(bench, desk):
     tower = bench.browser("tower")
     assert "desk has it" in tower.send("reach", **POSE).text
     assert "desk has it" in tower.send("advise", robot="fr", action="ask").text
     assert bench.browser("eve", operator=False).send("reach", **POSE).outcome is REFUSED
 
 
-def test_a_pose_that_comes_late_is_not_planned(bench, desk):
+def test_a_late_pose_is_not_planned(bench, desk):
     assert desk.send("reach", **POSE, late_s=2.1).outcome is AckOutcome.EXPIRED
 
 
-def test_a_pose_reaches_the_driver_and_why_there_is_no_way_is_told(bench, desk):
+def test_a_pose_reaches_the_driver_and_a_missing_path_is_explained(bench, desk):
     assert desk.send("reach", id="p", **POSE).outcome is ASKED
     reach = bench.driver_requests()[-1]
     assert (reach.hand, reach.position_m) == ("", (1.0, 0.2, 1.1))
@@ -87,7 +87,7 @@ def test_paths_are_sent_to_all_browsers_and_to_later_ones(bench, desk):
     assert not [message for message in bench.browser("later").got if isinstance(message, WaysView)]
 
 
-def test_how_far_a_search_is_is_part_of_the_status(bench, desk):
+def test_the_status_has_the_progress_of_a_search(bench, desk):
     search = driving.Search(doing="searching", done=0.5, is_busy=True, trials=100)
     report = driving.DriverReport(
         stage=driving.DriverStage.LEASED, mode=driving.DrivingMode.ADVISOR, search=search

@@ -50,16 +50,14 @@ async def operated(folder, operator_token, shown=DESK):
             yield browser, hli
 
 
-async def test_a_console_with_the_operators_token_frees_robots_and_asks_for_views(tmp_path):
+async def test_a_console_with_the_operator_token_takes_robots_and_changes_views(tmp_path):
     async with operated(tmp_path, OPERATOR) as (browser, hli):
         assert (await browser.ask("reset", robot="fr"))["outcome"] == "done"
         assert (await browser.ask("view_distance", robot="fr", value_m=1.5))["outcome"] == "done"
         assert hli.core.counters["views_asked"] == 1
 
 
-async def test_the_audit_log_names_the_browser_and_its_address_for_what_was_asked_through_the_console(
-    tmp_path, monkeypatch
-):
+async def test_the_audit_log_names_browser_and_address_of_console_requests(tmp_path, monkeypatch):
     told = []
     monkeypatch.setattr(Audit, "tell", lambda _, deed, *more: told.append(deed))
     async with operated(tmp_path, OPERATOR) as (browser, _):
@@ -69,7 +67,7 @@ async def test_the_audit_log_names_the_browser_and_its_address_for_what_was_aske
     assert names == dict.fromkeys((AuditKind.RESET, AuditKind.STOP), "console: operator 1 at 127.0.0.1")
 
 
-async def test_another_user_of_the_machine_gets_nothing_moved_or_freed_by_a_console_with_the_operators_token(
+async def test_another_user_cannot_use_a_console_with_the_operator_token(
     tmp_path,
 ):
     """The attack: a program that is no browser, of any user, at the loopback's port, without a word of who it is."""
@@ -92,7 +90,7 @@ def test_a_console_that_commands_in_a_role_does_not_start_without_a_token_of_its
     assert Settings("lab", True, "127.0.0.1", 7480, DESK, **holds).token_needed
 
 
-async def test_a_console_without_it_is_told_what_is_missing(tmp_path):
+async def test_a_console_without_the_token_gets_a_hint(tmp_path):
     async with operated(tmp_path, None) as (browser, _):
         for kind, fields in (("reset", {}), ("view_distance", {"value_m": 1.5})):
             answer = await browser.ask(kind, robot="fr", **fields)
@@ -100,7 +98,7 @@ async def test_a_console_without_it_is_told_what_is_missing(tmp_path):
             assert "token" in answer["text"]
 
 
-async def test_whoever_listens_where_the_hli_does_learns_no_token(tmp_path):
+async def test_a_fake_hli_learns_no_token(tmp_path):
     cell = CellModel.load(write_private_cell(tmp_path))
     asked = {}
     with open_session(listen=[cell.description.hli]) as impostor:
@@ -128,7 +126,7 @@ async def test_whoever_listens_where_the_hli_does_learns_no_token(tmp_path):
 
 @pytest.mark.service
 @pytest.mark.nightly
-async def test_its_drivers_take_leases_by_the_same_token(tmp_path):
+async def test_drivers_of_the_console_use_the_same_token(tmp_path):
     async with operated(tmp_path, OPERATOR) as (browser, hli):
         await browser.ask("lease", robot="fr", action="take")
         while not (lease := (await browser.status())["robots"]["fr"]["lease"])["mine"]:

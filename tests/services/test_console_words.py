@@ -20,7 +20,7 @@ POSE = ToolPose(position=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
         (Sight.HIDDEN, "engaged, and a body hides its camera's target (view_hidden)"),
     ],
 )
-def test_a_view_that_is_stale_lost_or_hidden_is_said_beside_the_phase(sight: Sight | None, said: str) -> None:
+def test_a_stale_lost_or_hidden_view_is_shown_beside_the_phase(sight: Sight | None, said: str) -> None:
     told = {"robot": "fr", "cycle": 1, "ipoc": 4, "time_s": 0.0, "q": (0.0,), "q_cmd": (0.0,), "tool": POSE}
     state = RobotState.model_validate({**told, "phase": Phase.ENGAGED, "sight": sight})
     assert phase_words(state, is_stale=False) == (said, "")

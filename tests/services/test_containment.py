@@ -78,7 +78,7 @@ def said(outputs):
 
 
 @given(data=st.data())
-def test_wherever_a_gate_fails_it_is_as_one_that_did_not_begin_with_the_message(overheard, twin, data):
+def test_after_any_failure_a_gate_is_as_before_the_message(overheard, twin, data):
     """Two gates fail on a message, one before it has begun; from there on both say the same, to the bit."""
     number = data.draw(st.integers(0, len(overheard.heard) - 6))
     before, message = overheard.heard[number]
@@ -120,7 +120,7 @@ def drive(rig, robot, dq):
     return rig.request(dq=dq, robot=robot, cycle=rig.servers[robot].state.cycle)
 
 
-def test_a_gate_that_fails_on_one_robot_holds_it_and_drives_the_other_on(rig):
+def test_a_gate_failure_on_one_robot_holds_only_that_robot(rig):
     for _ in range(5):
         drive(rig, "fr", SMALL), drive(rig, "gr", SMALL + (0.0,) * 3)
         rig.cycle()
@@ -143,7 +143,7 @@ def test_a_gate_that_fails_on_one_robot_holds_it_and_drives_the_other_on(rig):
     assert drive(rig, "fr", SMALL).outcome is Outcome.ADMITTED
 
 
-def test_a_dry_run_that_fails_is_refused_and_holds_its_robot_alone(rig):
+def test_a_failing_dry_run_is_refused_and_holds_only_its_robot(rig):
     rig.sim.gate = Failing(rig.sim.gate)
     reply = rig.command(kind="dry_run", robot="fr", dq=SMALL)
     assert (reply.accepted, reply.code) == (False, ReasonCode.INTERNAL_ERROR)
@@ -152,7 +152,7 @@ def test_a_dry_run_that_fails_is_refused_and_holds_its_robot_alone(rig):
     assert rig.servers["gr"].state.phase is Phase.READY
 
 
-def test_a_robot_whose_every_state_fails_is_told_to_stop_all_the_same(rig, monkeypatch):
+def test_a_robot_with_failing_states_is_still_stopped(rig, monkeypatch):
     monkeypatch.setattr(rig.sim.robots["fr"].tracker, "observe", lambda _: 1 / 0)
     for _ in range(3):
         rig.cycle()
@@ -160,14 +160,14 @@ def test_a_robot_whose_every_state_fails_is_told_to_stop_all_the_same(rig, monke
     assert rig.servers["gr"].state.phase is Phase.READY
 
 
-def test_a_stop_that_fails_stops(rig, monkeypatch):
+def test_a_failing_stop_still_stops(rig, monkeypatch):
     monkeypatch.setattr(rig.sim.robots["gr"].orders, "answer_when_stopped", lambda _: 1 / 0)
     assert rig.command(kind="stop").code is ReasonCode.INTERNAL_ERROR
     rig.cycle(), rig.cycle()
     assert [server.state.phase for server in rig.servers.values()] == [Phase.HELD, Phase.HELD]
 
 
-def test_a_traceback_is_logged_once_for_each_place_that_fails(rig, caplog):
+def test_a_traceback_is_logged_once_for_each_failing_place(rig, caplog):
     rig.sim.gate = Failing(rig.sim.gate)
     log = logging.getLogger("test")
     for _ in range(3):
@@ -182,7 +182,7 @@ def test_a_traceback_is_logged_once_for_each_place_that_fails(rig, caplog):
 
 @settings(max_examples=15)
 @given(share=st.floats(0, 1))
-def test_wherever_a_cycle_of_a_robot_server_fails_its_robot_brakes_and_can_be_reset(share):
+def test_after_any_failure_in_a_cycle_the_robot_brakes_and_can_be_reset(share):
     rig = Rig()
     for _ in range(5):
         drive(rig, "fr", (-1e-3, *SMALL[1:])), drive(rig, "gr", (*SMALL, 0.0, 0.0, 0.0))
@@ -211,14 +211,14 @@ def test_wherever_a_cycle_of_a_robot_server_fails_its_robot_brakes_and_can_be_re
     assert rig.state.phase is Phase.READY
 
 
-def test_a_robot_server_that_cannot_even_brake_leaves_it_to_the_process_beside_it(rig, monkeypatch):
+def test_a_robot_server_that_cannot_brake_leaves_the_brake_to_the_crash_brake(rig, monkeypatch):
     server = rig.servers["fr"]
     monkeypatch.setattr(server, "_watch", lambda _: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         server.take(Measurement(12, rig.q["fr"], None), rig.time_s)
 
 
-def test_an_admission_that_fails_is_as_one_that_was_lost(rig, monkeypatch):
+def test_a_failing_admission_counts_as_lost(rig, monkeypatch):
     drive(rig, "fr", SMALL)
     monkeypatch.setattr(rig.servers["fr"]._admissions, "put", lambda *_: 1 / 0)
     rig.cycle()
@@ -233,7 +233,7 @@ def but_streams(core):
 
 @settings(max_examples=20)
 @given(seed=st.integers(0, 3), share=st.floats(0, 1))
-def test_wherever_the_hli_fails_it_is_what_it_was_before_the_message(seed, share):
+def test_after_any_failure_the_hli_is_as_before_the_message(seed, share):
     day = Day(seed)
     core, random = day.core, Random(share)
 
@@ -250,7 +250,7 @@ def test_wherever_the_hli_fails_it_is_what_it_was_before_the_message(seed, share
     assert core.counters["internal_errors"] > 5
 
 
-def test_an_increment_that_the_hli_fails_on_is_told_and_its_robot_is_held(monkeypatch):
+def test_a_failing_increment_is_reported_and_its_robot_held(monkeypatch):
     bench = Bench().ready()
     monkeypatch.setattr(bench.core.increments, "on_increment", lambda *_: 1 / 0)
     increment = Increment(robot="fr", seq=1, cycle=100, dq=(0.0,) * 6, lease=bench.token)
@@ -269,7 +269,7 @@ def test_an_increment_that_the_hli_fails_on_is_told_and_its_robot_is_held(monkey
     bench.state(101, robot="gr")
 
 
-def test_a_line_that_the_hli_fails_on_is_answered_and_the_connection_goes_on(monkeypatch, caplog):
+def test_a_failing_line_is_answered_and_its_connection_continues(monkeypatch, caplog):
     monkeypatch.setitem(BY_MODEL, IoRequest, replace(BY_MODEL[IoRequest], answer=lambda *_: 1 / 0))
     with (
         Server() as server,

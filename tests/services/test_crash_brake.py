@@ -37,7 +37,7 @@ def moves(krc, brake):
     return np.array(krc.setpoints[begin:])
 
 
-def test_it_sends_the_certified_brake_to_the_bit_of_the_codec(krc):
+def test_it_sends_the_certified_brake_exactly_as_encoded(krc):
     state = krc.server.state
     dq, n = np.array(state.plan.dq), state.plan.brake_cycles
     correction = np.array(krc.driver.correction)
@@ -51,7 +51,7 @@ def test_it_sends_the_certified_brake_to_the_bit_of_the_codec(krc):
     assert not brake.over
 
 
-def test_where_a_krc_has_a_place_for_a_text_it_is_told_none(krc, tmp_path):
+def test_a_krc_with_a_text_element_gets_an_empty_text(krc, tmp_path):
     xml = tmp_path / "with_text.xml"
     text = '<ELEMENTS><ELEMENT TAG="DEF_EStr" TYPE="STRING" INDX="INTERNAL" />'
     before, receive, after = XML.read_text(encoding="utf-8").partition("<RECEIVE>")
@@ -77,7 +77,7 @@ def test_tags_that_begin_with_a_digit_are_read_and_answered(krc, tmp_path):
     assert b'<Out 01="0"/><IPOC>' in reply
 
 
-def test_it_rests_for_the_drives_lag_then_sends_the_stop_and_is_over(krc):
+def test_it_waits_for_the_lag_of_the_drives_sends_the_stop_and_ends(krc):
     n, brake = krc.server.state.plan.brake_cycles, krc.dead()
     stops = [told.outputs["stop"] for told in krc.until_over(brake)]
     assert stops == [False] * (n + PLAN.lag_cycles) + [True] * STOP_CYCLES
@@ -106,7 +106,7 @@ def test_without_a_stop_it_ends_when_the_drives_have_caught_up(krc):
     assert brake.replies == n + PLAN.lag_cycles
 
 
-def test_a_reply_that_may_not_have_been_sent_is_sent_again_and_none_is_skipped(krc):
+def test_a_possibly_unsent_reply_is_repeated_and_none_is_skipped(krc):
     before = krc.correction.copy()
     krc.tick()
     datagram = krc.own()
@@ -136,7 +136,7 @@ def test_a_reply_that_the_krc_missed_is_sent_again(krc):
     assert brake.correction != sent
 
 
-def test_a_krc_that_misses_every_reply_is_given_up(krc):
+def test_it_ends_if_the_krc_misses_every_reply(krc):
     brake = krc.dead()
     sent = brake.correction
     krc.late += 1
@@ -157,7 +157,7 @@ def test_a_silent_krc_ends_it(krc):
     assert brake.over
 
 
-def test_a_record_that_is_older_than_the_krcs_timeout_moves_nothing(krc):
+def test_a_record_older_than_the_krc_timeout_moves_nothing(krc):
     brake = krc.dead()
     krc.tick(21)
     assert krc.time_s - brake.silent_s + PLAN.silence_s > PLAN.silence_s
@@ -207,7 +207,7 @@ def test_a_telegram_is_answered_once(krc):
     assert brake.replies == 1
 
 
-def test_of_telegrams_that_waited_the_newest_is_answered_by_one_step(krc):
+def test_of_waiting_telegrams_the_newest_is_answered_by_one_step(krc):
     brake, before = krc.dead(), krc.correction.copy()
     older = []
     for _ in range(3):
@@ -219,7 +219,7 @@ def test_of_telegrams_that_waited_the_newest_is_answered_by_one_step(krc):
     assert told.correction - before == pytest.approx(brake_increment(dq, n, 1), abs=ROUNDING)
 
 
-def test_its_ipoc_goes_on_over_the_end_of_32_bit():
+def test_the_ipoc_wraps_at_32_bit():
     krc = CrashSide()
     krc.ipoc = 2**32 - 1 - 12 * 200
     krc.begin()
@@ -232,7 +232,7 @@ def test_its_ipoc_goes_on_over_the_end_of_32_bit():
     assert brake.at_rest
 
 
-def test_the_last_check_keeps_a_robot_where_it_is(krc):
+def test_the_last_check_keeps_a_robot_in_place(krc):
     found = RECORDS.newest(bytes(krc.memory))
     leap = replace(found.record, plan_dq=tuple(2 * most for most in PLAN.most), brake_cycles=4)
     brake, before = CrashBrake(PLAN, found._replace(record=leap), TELEGRAMS), krc.correction.copy()
@@ -247,7 +247,7 @@ def test_a_record_shows_whether_its_reply_was_sent(krc):
     assert not krc.dead()._is_sent
 
 
-def test_braked_cycles_are_as_many_as_the_certificate_says(krc):
+def test_the_number_of_braked_cycles_agrees_with_the_certificate(krc):
     dq = np.array(krc.server.state.dq)
     brake = krc.dead()
     moved = np.diff(moves(krc, brake), axis=0)
@@ -266,7 +266,7 @@ def test_no_count_of_late_replies_is_too_long_for_a_record(krc, digits):
     assert abs(RECORDS.newest(bytes(krc.memory)).record.late) == 2**62
 
 
-def test_of_a_brake_that_is_too_long_for_a_record_there_is_none(krc):
+def test_a_brake_too_long_for_a_record_leaves_none(krc):
     motion = replace(krc.server.motion, brake_cycles=2**32)
     left = krc.maker.of_last(krc.own(), krc.ipoc, {}, motion)
     assert left is not None
@@ -281,7 +281,7 @@ def test_a_telegram_in_another_layout_leaves_no_record(krc):
     assert krc.maker.body(None) is None
 
 
-def test_a_reply_that_the_last_check_refused_leaves_a_robot_that_rests(krc):
+def test_a_reply_refused_by_the_last_check_leaves_a_resting_robot(krc):
     krc.driver.fault = "leaps"
     left = krc.maker.of_last(krc.own(), krc.ipoc, {}, krc.server.motion)
     assert left.rests
@@ -289,11 +289,11 @@ def test_a_reply_that_the_last_check_refused_leaves_a_robot_that_rests(krc):
     assert not any(left.plan_dq)
 
 
-def test_a_plan_is_read_as_it_was_written():
+def test_a_plan_survives_a_round_trip():
     assert CrashPlan.from_json(PLAN.json()) == PLAN
 
 
-def test_a_reply_that_is_not_known_to_be_sent_is_sent_again_though_no_late_one_was_counted(krc):
+def test_an_unconfirmed_reply_is_repeated_without_a_counted_late_one(krc):
     SENT.pack_into(krc.memory, RECORDS.sent_at, krc.number - 1)
     brake, sent = krc.dead(), krc.driver.correction
     krc.after(brake)
@@ -317,7 +317,7 @@ def test_an_ipoc_is_never_further_ahead_than_a_krc_may_be_silent(krc):
     assert brake.answer([(ipoc_of(krc, ipoc + 12 * silence), PEER)], krc.time_s) is not None
 
 
-def test_where_a_krc_may_be_silent_for_no_more_than_a_cycle_none_is_skipped(krc):
+def test_with_a_timeout_of_one_cycle_no_setpoint_is_skipped(krc):
     impatient = replace(PLAN, silence_s=PLAN.cycle_s)
     brake = CrashBrake(impatient, RECORDS.newest(bytes(krc.memory)), TELEGRAMS)
     now_s = krc.time_s
@@ -365,14 +365,14 @@ def left(bodies, sent=None):
 
 @pytest.mark.long
 @given(records, records)
-def test_the_newest_is_read_as_it_was_written(older, newer):
+def test_the_newest_record_survives_a_round_trip(older, newer):
     found = LAYOUT.newest(bytes(left([LAYOUT.body(older), LAYOUT.body(newer)])))
     assert found == (newer, PEER, 1.0, True)
 
 
 @pytest.mark.long
 @given(records, records, st.data())
-def test_a_write_torn_anywhere_leaves_the_one_before(older, newer, data):
+def test_a_torn_write_leaves_the_previous_record(older, newer, data):
     memory = left([LAYOUT.body(older), LAYOUT.body(older)], sent=2)
     place, record = LAYOUT.sealed(LAYOUT.body(newer), 3, PEER, 1.5)
     end = data.draw(st.integers(0, len(record) - 1))
@@ -386,7 +386,7 @@ def test_a_write_torn_anywhere_leaves_the_one_before(older, newer, data):
 
 @pytest.mark.long
 @given(records, records, st.data())
-def test_with_any_byte_flipped_it_is_the_same_record_or_the_older_or_none(older, newer, data):
+def test_any_flipped_byte_gives_the_same_the_older_or_no_record(older, newer, data):
     memory = left([LAYOUT.body(older), LAYOUT.body(newer)])
     at = data.draw(st.integers(0, len(memory) - 1))
     memory[at] ^= data.draw(st.integers(1, 255))
@@ -408,7 +408,7 @@ def test_with_any_byte_of_the_newest_flipped_after_it_was_sent_nothing_moves():
         assert RECORDS.newest(bytes(memory)) is None
 
 
-def test_where_nothing_was_left_nothing_is_found():
+def test_without_a_record_nothing_is_found():
     assert LAYOUT.newest(bytes(LAYOUT.total)) is None
     # a checksum of nothing but zeros is none of a record either
     memory = bytearray(LAYOUT.total)
@@ -422,13 +422,13 @@ def some():
     return CrashRecord(0, 0, 0, 1, (False,) * 3, zeros, zeros, 1, 1, zeros, (math.inf,) * 6)
 
 
-def test_the_number_of_the_reply_that_was_sent_is_written_in_one_piece():
+def test_the_number_of_the_sent_reply_is_written_atomically():
     assert SENT.size == struct.calcsize("Q") == 8
     assert LAYOUT.sent_at % SENT.size == 0
 
 
 @pytest.mark.parametrize(("joints", "outputs"), [(6, 0), (6, 3), (9, 5)])
-def test_two_records_lie_apart_in_whole_words_and_the_number_that_was_sent_behind_them(joints, outputs):
+def test_records_are_word_aligned_and_followed_by_the_sent_number(joints, outputs):
     layout = CrashRecords(joints, outputs)
     zeros = (0.0,) * joints
     record = replace(
@@ -449,7 +449,7 @@ def test_two_records_lie_apart_in_whole_words_and_the_number_that_was_sent_behin
     assert layout.newest(bytes(memory)) == (record, PEER, 0.5, True)
 
 
-def test_memory_holds_the_records_that_were_written_and_the_number_of_the_one_that_was_sent():
+def test_the_memory_has_the_written_records_and_the_sent_number():
     bodies = [LAYOUT.body(replace(some(), ipoc=ipoc)) for ipoc in (1, 2, 3)]
     with mmap.mmap(-1, CrashMemory.bytes_for(LAYOUT)) as file:
         memory = CrashMemory(file, LAYOUT)
@@ -586,7 +586,7 @@ class Death:
 @pytest.mark.parametrize(
     "block", [0, *(pytest.param(block, marks=pytest.mark.nightly) for block in range(1, 8))]
 )
-def test_whatever_the_wire_does_the_robot_stays_on_the_line_of_its_brake_and_comes_to_rest(block):
+def test_on_any_wire_the_robot_stays_on_its_brake_and_comes_to_rest(block):
     rested = 0
     for seed in range(100 * block, 100 * block + 100):
         death = Death(seed)
@@ -596,7 +596,7 @@ def test_whatever_the_wire_does_the_robot_stays_on_the_line_of_its_brake_and_com
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_on_a_good_wire_no_limit_of_acceleration_is_passed_and_the_robot_rests_where_its_brake_ends(seed):
+def test_on_a_good_wire_the_brake_keeps_acceleration_limits_to_its_end(seed):
     krc = CrashSide().begin()
     draw = random.Random(seed)
     for _ in range(draw.randint(1, 40)):

@@ -101,7 +101,7 @@ def beside(krc=None, silence_s=WAITS_S):
 
 @pytest.mark.by_day(1)
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV, signal.SIGABRT])
-def test_a_server_that_is_killed_leaves_a_robot_that_is_braked(number):
+def test_the_robot_of_a_killed_server_is_braked(number):
     with beside() as both:
         both.server.send_signal(number)
         both.assert_brakes()
@@ -113,7 +113,7 @@ def test_a_server_that_is_killed_leaves_a_robot_that_is_braked(number):
 @pytest.mark.parametrize(
     ("number", "says"), [(signal.SIGSTOP, "was stopped by SIGSTOP"), (signal.SIGKILL, "was ended by SIGKILL")]
 )
-def test_a_process_beside_it_that_is_killed_or_stopped_is_told_and_replaced(number, says):
+def test_a_killed_or_stopped_brake_process_is_reported_and_replaced(number, says):
     with beside() as both:
         os.kill(both.pid, number)
         both.server.stdin.write("mend\n")
@@ -127,7 +127,7 @@ def test_a_process_beside_it_that_is_killed_or_stopped_is_told_and_replaced(numb
         both.assert_brakes()
 
 
-def test_a_kill_of_its_process_group_and_signals_to_end_do_not_reach_it():
+def test_signals_to_the_process_group_do_not_end_the_brake_process():
     with beside() as both:
         for ending in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             os.kill(both.pid, ending)
@@ -137,7 +137,7 @@ def test_a_kill_of_its_process_group_and_signals_to_end_do_not_reach_it():
         both.assert_brakes()
 
 
-def test_a_server_that_fails_has_its_robot_braked_before_it_ends():
+def test_a_failing_server_has_its_robot_braked_before_it_ends():
     with beside() as both:
         both.server.stdin.write("fail\n")
         both.server.stdin.flush()
@@ -147,7 +147,7 @@ def test_a_server_that_fails_has_its_robot_braked_before_it_ends():
         both.assert_port_is_free()
 
 
-def test_a_server_that_ends_as_it_should_takes_it_along():
+def test_an_orderly_end_of_the_server_ends_the_brake_process():
     with beside() as both:
         both.server.terminate()
         assert both.server.wait(WAITS_S) == 0
@@ -155,13 +155,13 @@ def test_a_server_that_ends_as_it_should_takes_it_along():
         assert both.server.stdout.read() == "ended\n"
 
 
-def test_without_a_krc_it_ends_by_itself():
+def test_without_a_krc_the_brake_process_ends():
     with beside(silence_s=PLAN.silence_s) as both:
         both.server.kill()
         assert both.has_ended()
 
 
-def test_while_the_server_runs_it_does_not_answer():
+def test_while_the_server_runs_the_brake_process_does_not_answer():
     with beside() as both:
         both.krc.tick()
         both.sock.sendto(both.krc.own(), both.place)
@@ -170,20 +170,20 @@ def test_while_the_server_runs_it_does_not_answer():
             both.sock.recv(4096)
 
 
-def test_it_loads_no_library_of_the_cell():
+def test_the_brake_process_imports_no_library_of_the_cell():
     with beside() as both:
         mapped = Path(f"/proc/{both.pid}/maps").read_text(encoding="utf-8")
     assert not [name for name in ("numpy", "zenoh", "pinocchio", "openblas") if name in mapped]
 
 
-def test_its_server_dumps_no_core_for_which_it_would_have_to_wait():
+def test_the_server_dumps_no_core_that_would_delay_the_brake():
     with beside() as both:
         limits = Path(f"/proc/{both.server.pid}/limits").read_text(encoding="utf-8")
     line = next(line for line in limits.splitlines() if line.startswith("Max core file size"))
     assert line.split()[4] in ("0", "1")
 
 
-def test_who_is_asked_for_the_krc_is_the_one_of_the_record():
+def test_the_brake_process_answers_the_krc_of_the_record():
     with beside() as both, socket.socket(type=socket.SOCK_DGRAM) as other:
         both.server.kill()
         other.bind(("127.0.0.1", 0))

@@ -45,7 +45,7 @@ async def encrypted(files: dict[str, str]) -> AsyncIterator[tuple[Hli, GuardedPe
         yield hli, peer
 
 
-async def test_over_tls_a_client_is_served_as_in_the_clear(files: dict[str, str]) -> None:
+async def test_a_client_over_tls_is_served_like_one_without(files: dict[str, str]) -> None:
     trusted = ssl.create_default_context(cafile=files["DELTAQ_LINES_CERTIFICATE_FILE"])
     async with encrypted(files) as (_, peer):
         port = peer.cell.tcp_port
@@ -63,7 +63,7 @@ async def test_over_tls_a_client_is_served_as_in_the_clear(files: dict[str, str]
             await writer.wait_closed()
 
 
-async def test_who_speaks_in_the_clear_to_an_encrypted_line_or_not_at_all_is_nobody(
+async def test_unencrypted_or_silent_connections_to_an_encrypted_port_are_closed(
     files: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for module in (newcomers, tcp_front):
@@ -80,7 +80,7 @@ async def test_who_speaks_in_the_clear_to_an_encrypted_line_or_not_at_all_is_nob
             await writer.wait_closed()
 
 
-async def test_a_stop_in_the_clear_is_obeyed_and_nothing_else_that_comes_with_it(
+async def test_of_unencrypted_lines_only_a_stop_is_obeyed(
     files: dict[str, str],
 ) -> None:
     async with encrypted(files) as (hli, peer):
@@ -95,7 +95,7 @@ async def test_a_stop_in_the_clear_is_obeyed_and_nothing_else_that_comes_with_it
         writer.close()
 
 
-async def test_of_too_many_that_stop_in_the_clear_the_oldest_gives_way(
+async def test_of_too_many_unencrypted_stops_the_oldest_is_closed(
     files: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(places, "MAX_STOP_PLACES", 1)
@@ -111,7 +111,7 @@ async def test_of_too_many_that_stop_in_the_clear_the_oldest_gives_way(
         assert not readers[1].at_eof()
 
 
-async def test_however_many_begin_to_agree_on_an_encryption_a_stop_in_the_clear_waits_for_none(
+async def test_pending_tls_handshakes_do_not_delay_an_unencrypted_stop(
     files: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tcp_front, "_HANDSHAKES_A_SECOND", 0.0)  # as if so many had been taken up already
@@ -133,7 +133,7 @@ async def test_however_many_begin_to_agree_on_an_encryption_a_stop_in_the_clear_
 
 
 @pytest.mark.long
-async def test_beside_any_number_of_half_agreed_encryptions_a_client_is_served_and_stops(
+async def test_pending_tls_handshakes_do_not_lock_out_a_client(
     files: dict[str, str],
 ) -> None:
     """The attack: connections that say nothing. Each one more than there are places ends the oldest."""
@@ -157,7 +157,7 @@ async def test_beside_any_number_of_half_agreed_encryptions_a_client_is_served_a
         assert not silent[-1].at_eof()
 
 
-def test_a_flood_from_one_address_ends_its_own_and_those_of_many_the_oldest() -> None:
+def test_a_flood_closes_its_own_connections_and_one_from_many_addresses_the_oldest() -> None:
     places: WaitingPlaces[str] = WaitingPlaces()
     assert places.take("stop", "192.0.2.1") is None
     for n in range(10 * MAX_WAITING):
@@ -173,7 +173,7 @@ def test_a_flood_from_one_address_ends_its_own_and_those_of_many_the_oldest() ->
     assert places.take("one more", "192.0.2.1") not in (None, "again")
 
 
-def test_addresses_are_served_in_turns_and_of_each_the_newest_first() -> None:
+def test_addresses_take_turns_with_their_newest_connection_first() -> None:
     places: WaitingPlaces[str] = WaitingPlaces()
     for one, address in (("a1", "192.0.2.1"), ("b1", "192.0.2.2"), ("b2", "192.0.2.2"), ("b3", "192.0.2.2")):
         places.take(one, address)

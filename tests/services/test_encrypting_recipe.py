@@ -92,7 +92,7 @@ async def test_the_printed_tunnel_connects_a_client_without_tls(tmp_path: Path) 
         assert (await client.ask("lease", type="lease", robot="fr", action="take"))["granted"]
 
 
-async def test_it_brings_nothing_to_an_hli_that_shows_another_certificate(tmp_path: Path) -> None:
+async def test_the_tunnel_refuses_an_hli_with_another_certificate(tmp_path: Path) -> None:
     """The attack: somebody else listens where the HLI should be."""
     (tmp_path / "other").mkdir()
     other = certificate(tmp_path / "other")["DELTAQ_LINES_CERTIFICATE_FILE"]

@@ -37,7 +37,7 @@ def ask(number):
         pytest.fail("the first signal ended the process at once")
 
 
-def test_who_was_not_asked_to_end_goes_on_whether_its_krc_speaks_or_not(krc):
+def test_without_a_signal_the_server_continues_with_and_without_its_krc(krc):
     ending = Ending(krc.server)
     assert (ending.stop, ending.over) == (False, False)
     for _ in range(100):
@@ -49,7 +49,7 @@ def test_who_was_not_asked_to_end_goes_on_whether_its_krc_speaks_or_not(krc):
 
 
 @pytest.mark.parametrize("number", SIGNALS)
-def test_asked_to_end_it_rests_first_and_then_sends_the_stop_three_times(krc, number):
+def test_on_a_signal_it_rests_first_and_then_sends_the_stop_three_times(krc, number):
     ending = Ending(krc.server)
     ask(number)
     stops = []
@@ -65,7 +65,7 @@ def test_asked_to_end_it_rests_first_and_then_sends_the_stop_three_times(krc, nu
     assert not any(state.dq)
 
 
-def test_a_robot_in_a_new_session_has_its_stops_once_it_rests_again(krc):
+def test_in_a_new_session_the_stops_are_sent_after_rest(krc):
     ending = Ending(krc.server)
     ask(signal.SIGTERM)
     while not ending.stop:
@@ -85,7 +85,7 @@ def test_a_robot_in_a_new_session_has_its_stops_once_it_rests_again(krc):
     assert ending.stop
 
 
-def test_asked_to_end_while_its_krc_is_silent_it_waits_for_nothing(krc):
+def test_on_a_signal_with_a_silent_krc_it_ends_at_once(krc):
     ending = Ending(krc.server)
     ask(signal.SIGTERM)
     assert not ending.over
@@ -93,7 +93,7 @@ def test_asked_to_end_while_its_krc_is_silent_it_waits_for_nothing(krc):
     assert ending.over
 
 
-def test_asked_twice_it_ends_at_once(krc):
+def test_on_a_second_signal_it_ends_at_once(krc):
     Ending(krc.server)
     ask(signal.SIGTERM)
     with pytest.raises(KeyboardInterrupt):

@@ -70,7 +70,7 @@ def moving():
 
 
 @given(seed=SEEDS)
-def test_the_gate_foresees_every_message(moving, seed):
+def test_the_gate_handles_every_extreme_message(moving, seed):
     random, sim = Random(seed), moving.sim
     sim.restore(moving.gate)
     limits = {
@@ -92,7 +92,7 @@ def test_the_gate_foresees_every_message(moving, seed):
     sim.nearest()
 
 
-def test_all_kinds_of_messages_that_the_gate_takes_are_tried(moving):
+def test_every_message_type_of_the_gate_is_tested(moving):
     """A row of the table that is new has to be among them."""
     kinds = {
         row.message for row in topics.TOPICS if row.realm is Realm.GUARDED and Party.SIM in row.readers
@@ -102,7 +102,7 @@ def test_all_kinds_of_messages_that_the_gate_takes_are_tried(moving):
 
 
 @given(seed=SEEDS)
-def test_a_robot_server_foresees_every_message(moving, seed):
+def test_a_robot_server_handles_every_extreme_message(moving, seed):
     random, server, robot = Random(seed), moving.servers["fr"], CELL.description.robots["fr"]
     admission = next(
         output.message
@@ -143,7 +143,7 @@ def day(request):
 
 
 @given(seed=SEEDS)
-def test_the_hli_foresees_every_message(day, seed):
+def test_the_hli_handles_every_extreme_message(day, seed):
     random, core, memory = Random(seed), day.core, day.memory
     core.restore(memory)
     core.counters.clear()
@@ -163,7 +163,7 @@ def test_the_hli_foresees_every_message(day, seed):
 
 
 @given(seed=SEEDS)
-def test_the_console_foresees_every_command(seed):
+def test_the_console_handles_every_extreme_command(seed):
     random, bench = Random(seed), ConsoleBench()
     bench.states()
     desk = bench.browser()
@@ -205,7 +205,7 @@ def side():
 
 
 @given(seed=SEEDS)
-def test_a_robot_server_foresees_every_telegram(side, seed):
+def test_a_robot_server_handles_every_extreme_telegram(side, seed):
     random = Random(seed)
     for _ in range(20 * CHANGED):
         side.tick()
@@ -219,7 +219,7 @@ def test_a_robot_server_foresees_every_telegram(side, seed):
 
 
 @given(seed=SEEDS)
-def test_an_emulated_krc_foresees_every_reply(seed):
+def test_an_emulated_krc_handles_every_extreme_reply(seed):
     random, bench = Random(seed), Bench()
     for _ in range(20 * CHANGED):
         datagram = bench.krc.tick()
@@ -232,7 +232,7 @@ def test_an_emulated_krc_foresees_every_reply(seed):
 
 
 @given(seed=SEEDS)
-def test_the_panel_of_an_emulated_krc_foresees_every_request(seed):
+def test_the_panel_of_an_emulated_krc_handles_every_extreme_request(seed):
     random, bench = Random(seed), Bench()
     panel = Panel("fr", bench.krc, FaultyLink(1), FaultyLink(2), CsvRecorder(0.012, bench.n))
     extremes, answers = Extremes(REQUESTS, random), []

@@ -23,7 +23,7 @@ class Clock:
         self.waits += 1
 
 
-def test_who_asks_now_and_then_never_waits_and_a_flood_comes_at_the_pace_of_its_waits(
+def test_occasional_messages_never_wait_and_a_flood_is_slowed_down(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     clock = Clock()

@@ -39,7 +39,7 @@ def decide(robot, request, others=(), violations=None):
     return gate.decide(robot, list(others), request)
 
 
-def test_a_request_that_nothing_binds_is_admitted_as_it_is():
+def test_an_unlimited_request_is_admitted_unchanged():
     request = 0.5 * LIMITS["fr"].max_dv
     decision = decide(at_rest("fr", HOME["fr"]), request, [at_rest("gr", HOME["gr"])])
     assert (decision.outcome, decision.scale, decision.brake_cycles) == (Outcome.ADMITTED, 1.0, 1)
@@ -60,14 +60,14 @@ def test_a_scaled_increment_lies_between_brake_and_request_with_its_own_brake():
     assert [reason.code for reason in decision.reasons] == [ReasonCode.ACCELERATION_LIMIT]
 
 
-def test_the_tighter_of_two_limits_is_told():
+def test_the_tighter_of_two_limits_is_reported():
     q = HOME["fr"] + one_joint("fr", 5, LIMITS["fr"].upper[5] - HOME["fr"][5] - 1e-3)
     decision = decide(at_rest("fr", q), one_joint("fr", 5, 2 * LIMITS["fr"].max_dv[5]))
     assert decision.outcome is Outcome.SCALED
     assert [reason.code for reason in decision.reasons] == [ReasonCode.POSITION_LIMIT]
 
 
-def test_a_request_of_which_next_to_nothing_is_left_is_held_and_the_brake_goes_on():
+def test_a_request_scaled_to_almost_nothing_is_held_and_the_brake_continues():
     q = HOME["fr"] + one_joint("fr", 5, LIMITS["fr"].upper[5] - HOME["fr"][5] - 1e-6)
     decision = decide(at_rest("fr", q), one_joint("fr", 5, LIMITS["fr"].max_dv[5]))
     assert (decision.outcome, decision.scale, decision.brake_cycles) == (Outcome.HELD, 0.0, 1)
@@ -75,7 +75,7 @@ def test_a_request_of_which_next_to_nothing_is_left_is_held_and_the_brake_goes_o
     assert decision.reasons[0].code is ReasonCode.POSITION_LIMIT
 
 
-def test_a_request_held_in_motion_names_the_brake_that_is_left():
+def test_a_request_held_in_motion_reports_the_remaining_brake():
     step = LIMITS["fr"].max_dv[5]
     dq = one_joint("fr", 5, 4 * step)
     # its brake ends on the limit
@@ -88,7 +88,7 @@ def test_a_request_held_in_motion_names_the_brake_that_is_left():
     assert decision.brake_cycles == 3
 
 
-def test_near_a_body_about_as_much_is_admitted_as_the_stop_distance_leaves():
+def test_near_a_body_the_admitted_motion_uses_the_space_above_the_stop_distance():
     room_m, request = 2e-4, one_joint("fr", 1, LIMITS["fr"].max_dv[1])
     q = above_the_floor(room_m)
     decision = decide(at_rest("fr", q), request, [at_rest("gr", HOME["gr"])])
@@ -115,7 +115,7 @@ def test_at_the_stop_distance_a_request_that_leads_nearer_is_held_for_clearance(
     assert decision.binding.nearest.pair == ("fr/link_3", "structure/floor")
 
 
-def test_from_within_the_stop_distance_slow_motion_outwards_is_admitted_and_told_as_retreat():
+def test_within_the_stop_distance_slow_outward_motion_is_admitted_as_retreat():
     robot, violations = at_rest("fr", above_the_floor(-40e-3)), Violations()
     out = decide(robot, one_joint("fr", 1, -LIMITS["fr"].max_dv[1]), violations=violations)
     assert out.outcome is Outcome.ADMITTED
@@ -136,7 +136,7 @@ def codes(decision):
     return [reason.code for reason in decision.reasons]
 
 
-def test_a_retreat_that_a_joint_limit_bars_names_the_limit_before_the_violation():
+def test_a_retreat_blocked_by_a_joint_limit_names_the_limit_first():
     at_limit = one_joint("fr", 5, LIMITS["fr"].upper[5] - HOME["fr"][5])
     robot, violations = at_rest("fr", above_the_floor(-2e-3) + at_limit), Violations()
     outwards, beyond = one_joint("fr", 1, -1e-4), one_joint("fr", 5, 1e-4)
@@ -146,7 +146,7 @@ def test_a_retreat_that_a_joint_limit_bars_names_the_limit_before_the_violation(
     assert decide(robot, outwards - beyond, violations=violations).outcome is Outcome.ADMITTED
 
 
-def test_a_retreat_names_what_bound_it_where_a_limit_leaves_less_than_its_speed_and_where_it_does_not():
+def test_a_retreat_names_its_limiting_factor():
     robot, violations = at_rest("fr", above_the_floor(-2e-3)), Violations()
     outwards = one_joint("fr", 1, -1.5 * LIMITS["fr"].max_dv[1])
     by_limit = decide(robot, outwards, violations=violations)
@@ -155,20 +155,20 @@ def test_a_retreat_names_what_bound_it_where_a_limit_leaves_less_than_its_speed_
     assert codes(decide(robot, -outwards, violations=violations)) == [ReasonCode.RETREAT]
 
 
-def test_a_robot_that_moves_where_nothing_was_measured_is_told_of_the_clearance_that_it_lacks():
+def test_a_robot_moving_in_an_unmeasured_violation_gets_the_missing_clearance():
     moving = in_motion("fr", above_the_floor(-2e-3), one_joint("fr", 1, -1e-3))
     (reason,) = decide(moving, one_joint("fr", 1, -1e-3)).reasons
     assert (reason.code, reason.what) == (ReasonCode.CLEARANCE, "fr/link_3 structure/floor")
 
 
-def test_a_violation_has_ended_once_a_motion_is_certified_as_always():
+def test_a_violation_ends_with_an_ordinarily_certified_motion():
     violations = violated_once()
     decision = decide(at_rest("fr", above_the_floor(1e-3)), one_joint("fr", 1, -1e-4), violations=violations)
     assert decision.outcome is Outcome.ADMITTED
     assert violations.snapshot() == ()
 
 
-def test_a_violation_has_ended_once_where_the_robot_stands_is_certified_though_its_motion_is_not():
+def test_a_violation_ends_with_a_certified_rest_position():
     violations = violated_once()
     inwards = one_joint("fr", 1, LIMITS["fr"].max_dv[1])
     decision = decide(at_rest("fr", above_the_floor(2e-4)), inwards, violations=violations)
@@ -184,7 +184,7 @@ def violated_once():
     return violations
 
 
-def test_the_other_robot_is_kept_clear_of():
+def test_the_gate_keeps_clear_of_the_other_robot():
     gr = with_room(1e-3, "gr", {"fr": FR_BESIDE_GR, "gr": GR_BESIDE_FR}, 4)
     toward = in_motion("gr", gr, one_joint("gr", 4, 5e-4))
     request = one_joint("gr", 4, 1.1e-3)
@@ -195,7 +195,7 @@ def test_the_other_robot_is_kept_clear_of():
     assert {part.split("/")[0] for part in decision.reasons[0].what.split()} == {"fr", "gr"}
 
 
-def test_the_newest_admission_of_the_other_robot_is_kept_clear_of():
+def test_the_gate_keeps_clear_of_the_newest_admission_of_the_other_robot():
     gr = at_rest("gr", with_room(2e-3, "gr", {"fr": FR_BESIDE_GR, "gr": GR_BESIDE_FR}, 4))
     robot = at_rest("fr", FR_BESIDE_GR)
     turns = [one_joint("fr", 0, 1e-4), one_joint("fr", 0, -1e-4)]
@@ -221,13 +221,13 @@ def test_a_scaled_increment_is_certified_and_a_larger_one_hardly():
     assert not certified(decision.scale + 2.1 / 32)
 
 
-def test_at_the_stop_distance_motion_that_leads_no_nearer_is_let_go():
+def test_at_the_stop_distance_motion_without_approach_is_admitted():
     robot = at_rest("fr", above_the_floor(2e-5))
     request = one_joint("fr", 0, LIMITS["fr"].max_dv[0])  # about the vertical
     assert decide(robot, request).outcome is Outcome.ADMITTED
 
 
-def test_motion_that_leads_out_is_let_go_though_the_lag_leaves_much_uncertain():
+def test_outward_motion_is_admitted_despite_the_uncertainty_of_the_lag():
     dq = np.array((-0.00074, 0.00053, 0.00277, -0.0032, 0.0087, 0.01715))
     robot = in_motion("fr", above_the_floor(2.5e-5), dq)
     decision = decide(robot, np.array((-0.0028, -0.0016, 0.0019, 0.0254, -0.00018, 0.0403)))
@@ -247,7 +247,7 @@ def touching(speed):
         contacts.allow([])
 
 
-def test_while_a_contact_is_allowed_its_robot_is_slow_and_told_why():
+def test_an_allowed_contact_limits_the_speed_of_its_robot_with_a_reason():
     request = one_joint("fr", 0, LIMITS["fr"].max_dv[0])
     speed = 0.25 * request[0] / LIMITS["fr"].max_dq[0]
     with touching(speed) as gate:
@@ -268,7 +268,7 @@ def test_a_motion_held_by_a_limit_is_not_held_for_a_contact():
         assert [reason.code for reason in decision.reasons] == [ReasonCode.POSITION_LIMIT]
 
 
-def test_a_robot_out_of_reach_is_not_compared_with_and_one_that_can_come_near_is(monkeypatch):
+def test_only_robots_within_reach_are_compared(monkeypatch):
     gate = Gate(PROXIMITY, LIMITS, CELL.description.gate, Contacts(PROXIMITY, {}), Violations())
     fr, gr = at_rest("fr", HOME["fr"]), at_rest("gr", HOME["gr"])
     asked = []
@@ -283,7 +283,7 @@ def test_a_robot_out_of_reach_is_not_compared_with_and_one_that_can_come_near_is
     assert asked == ["gr", "gr"]
 
 
-def test_a_joint_is_at_farthest_at_its_limit_or_where_it_stands_outside_of_it():
+def test_the_reach_of_a_joint_ends_at_its_limit_or_at_its_position_beyond():
     limits = np.maximum(
         np.abs(CELL.description.robots["fr"].lower), np.abs(CELL.description.robots["fr"].upper)
     )

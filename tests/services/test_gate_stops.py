@@ -138,7 +138,7 @@ def lagging_cell(folder, mean_s, damping, spread_s):
 @pytest.mark.by_day(1)
 @pytest.mark.parametrize("spread_s", [0.036, 0.0, 0.012, 0.024])
 @pytest.mark.parametrize(("mean_s", "damping"), [(0.12, 1.0), *(lag for lag in LAGS if lag != (0.12, 1.0))])
-def test_drives_of_any_lag_and_spread_that_is_presumed_keep_the_stop_distance_or_are_held(
+def test_drives_within_the_presumed_lag_and_spread_keep_the_stop_distance_or_are_held(
     oracle, tmp_path, monkeypatch, mean_s, damping, spread_s
 ):
     """Full speed at the other robot; drives that swing out by more than the tolerance are held, and keep it too."""

@@ -39,7 +39,7 @@ def secret(folder: Path, text: bytes, mode: int = 0o600) -> str:
         (b"\xff\xfe", 0o600, "holds no text"),
     ],
 )
-def test_a_file_that_is_no_secret_is_refused_and_not_shown(
+def test_an_invalid_secret_file_is_refused_without_showing_it(
     tmp_path: Path, text: bytes, mode: int, said: str
 ) -> None:
     with pytest.raises(GivenTokenError, match=f"DELTAQ_CONSOLE_TOKEN_FILE: .*{said}") as refused:
@@ -47,12 +47,12 @@ def test_a_file_that_is_no_secret_is_refused_and_not_shown(
     assert SECRET not in str(refused.value)
 
 
-def test_a_file_that_is_not_there_is_refused() -> None:
+def test_a_missing_file_is_refused() -> None:
     with pytest.raises(GivenTokenError, match="/nowhere cannot be read"):
         given_token("DELTAQ_CONSOLE_TOKEN", {"DELTAQ_CONSOLE_TOKEN_FILE": "/nowhere"})
 
 
-def test_the_file_goes_before_the_variable_and_nothing_is_no_token(tmp_path: Path) -> None:
+def test_the_file_precedes_the_variable_and_an_empty_value_is_no_token(tmp_path: Path) -> None:
     environment = {
         "DELTAQ_CONSOLE_TOKEN": "other",
         "DELTAQ_CONSOLE_TOKEN_FILE": secret(tmp_path, SECRET.encode() + b"\n"),
@@ -63,7 +63,7 @@ def test_the_file_goes_before_the_variable_and_nothing_is_no_token(tmp_path: Pat
 
 
 @pytest.mark.long
-def test_a_console_that_is_given_a_file_others_can_read_does_not_start(tmp_path: Path) -> None:
+def test_a_console_refuses_a_token_file_readable_by_others(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "deltaq_services.console", "--cell", "lab"]
     environment = os.environ | {"DELTAQ_CONSOLE_TOKEN_FILE": secret(tmp_path, SECRET.encode(), 0o644)}
     done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
@@ -78,7 +78,7 @@ def test_settings_do_not_show_their_tokens() -> None:
     assert "7480" in shown
 
 
-async def test_a_client_and_a_command_take_theirs_from_a_file(
+async def test_clients_and_commands_read_their_token_from_a_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     operator = tmp_path / "operator.token"

@@ -37,7 +37,7 @@ def paths(cell):
     return {service: link.removeprefix("unixsock-stream/") for service, link in guarded_links(cell).items()}
 
 
-def test_each_service_has_a_socket_in_a_folder_of_this_user_alone():
+def test_each_service_has_a_socket_in_a_private_folder():
     cell = small_cell()
     folder = runtime_folder() / realm_of(cell)
     assert paths(cell) == {
@@ -47,7 +47,7 @@ def test_each_service_has_a_socket_in_a_folder_of_this_user_alone():
     assert (about.st_uid, stat.S_IMODE(about.st_mode)) == (os.geteuid(), 0o700)
 
 
-def test_a_cell_of_before_with_ports_on_the_loopback_meets_at_the_same_sockets():
+def test_an_older_cell_with_loopback_ports_uses_the_same_sockets():
     cell = small_cell()
     fr = cell.robots["fr"].model_copy(update={"server": "tcp/127.0.0.1:7451"})
     before = cell.model_copy(update={"sim": "tcp/localhost:7450", "robots": cell.robots | {"fr": fr}})
@@ -85,7 +85,7 @@ def test_a_folder_of_another_user_is_refused_with_its_owner(folder):
         guarded_folder("lab-1")
 
 
-def test_a_link_or_a_file_in_its_place_is_refused(folder, tmp_path):
+def test_a_link_or_file_in_place_of_the_folder_is_refused(folder, tmp_path):
     runtime_folder()
     (tmp_path / "elsewhere").mkdir(mode=0o700)
     (folder / "lab-1").symlink_to(tmp_path / "elsewhere")
@@ -95,7 +95,7 @@ def test_a_link_or_a_file_in_its_place_is_refused(folder, tmp_path):
             guarded_folder(name)
 
 
-def test_a_path_that_no_socket_can_have_is_told(monkeypatch, tmp_path):
+def test_a_path_too_long_for_a_socket_is_reported(monkeypatch, tmp_path):
     long = tmp_path / ("x" * 90)
     monkeypatch.setenv(GUARDED_FOLDER, str(long))
     with pytest.raises(GuardedRealmError, match=rf"at most 100; let {GUARDED_FOLDER} name a shorter folder"):
@@ -115,7 +115,7 @@ def test_cells_at_other_addresses_have_other_folders():
         ("tls/192.168.7.1:7450", r"^robots\.fr\.server \(local\) .*has to be"),
     ],
 )
-async def test_no_service_starts_where_strangers_could_come_in(tmp_path, sim, said):
+async def test_no_service_starts_in_an_open_guarded_realm(tmp_path, sim, said):
     file = tmp_path / "plant.yaml"
     file.write_text(f"extends: lab\nsim: {sim}\n", encoding="utf-8")
     model = CellModel.load(file)

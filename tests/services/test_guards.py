@@ -41,7 +41,7 @@ def last_setpoint(q, dq, brake_cycles):
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_full_speed_may_be_reached_and_not_passed(sign):
+def test_full_speed_is_permitted_and_no_more(sign):
     assert answer(last=sign * 0.0155, dq=sign * 0.016, brake_cycles=16) is None
     assert answer(last=sign * 0.0155, dq=sign * 0.01601, brake_cycles=17) is Refusal.TOO_FAST
 
@@ -53,7 +53,7 @@ def test_the_increment_may_change_by_the_acceleration_limit_and_no_more(sign):
     assert answer(last=sign * 0.002, dq=sign * 0.00099, brake_cycles=4) is Refusal.TOO_ABRUPT
 
 
-def test_a_brake_of_as_many_cycles_as_the_deceleration_limit_asks_is_taken_and_a_shorter_one_is_not():
+def test_a_brake_of_the_required_length_is_accepted_and_a_shorter_one_is_not():
     assert answer(last=0.002, dq=0.003, brake_cycles=3) is None
     assert answer(last=0.002, dq=0.003, brake_cycles=2) is Refusal.BRAKE_TOO_ABRUPT
 
@@ -69,7 +69,7 @@ def test_the_last_setpoint_of_the_brake_may_lie_on_a_limit_and_not_beyond(limit,
 
 
 @pytest.mark.parametrize(("outside", "sign"), [(2.1, 1), (-1.1, -1)])
-def test_outside_a_limit_it_may_stand_and_come_back_and_not_go_further_out(outside, sign):
+def test_beyond_a_limit_a_joint_may_stand_and_return_but_not_go_further(outside, sign):
     assert answer(q=outside, dq=0.0) is None
     assert answer(q=outside, dq=-sign * 0.0005) is None
     assert answer(q=outside, dq=sign * 0.0005) is Refusal.LEAVES_LIMITS
@@ -81,9 +81,7 @@ def test_a_joint_outside_one_limit_does_not_open_the_other():
 
 
 @pytest.mark.parametrize("max_age_cycles", [0, 2])
-def test_an_admission_may_be_as_old_as_the_table_of_topics_says_and_is_never_of_a_cycle_to_come(
-    monkeypatch, max_age_cycles
-):
+def test_an_admission_has_a_greatest_age_and_never_a_future_cycle(monkeypatch, max_age_cycles):
     monkeypatch.setattr(topics, "ADMISSION", replace(topics.ADMISSION, max_age_cycles=max_age_cycles))
     assert answer(age_cycles=max_age_cycles) is None
     assert answer(age_cycles=max_age_cycles + 1) is Refusal.LATE
@@ -107,7 +105,7 @@ def test_a_correction_within_a_joints_travel_is_sent(correction):
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("joint", [0, 1])
-def test_a_value_that_is_not_finite_is_refused(value, joint):
+def test_a_non_finite_value_is_refused(value, joint):
     correction = [0.0, 0.0]
     correction[joint] = value
     found = fault(correction)
@@ -117,7 +115,7 @@ def test_a_value_that_is_not_finite_is_refused(value, joint):
 
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("joint", [0, 1])
-def test_a_leap_is_refused_from_wherever_it_starts(joint, sign):
+def test_a_jump_is_refused_from_any_start(joint, sign):
     last = [0.3, -0.4]
     correction = list(last)
     correction[joint] += sign * (MOST[joint] + 1e-6)
@@ -138,7 +136,7 @@ def test_a_correction_beyond_its_limits_is_refused(joint):
         assert fault(correction, last) is None
 
 
-def test_from_outside_its_limits_a_correction_may_stay_and_come_back_and_not_go_further():
+def test_beyond_its_limits_a_correction_may_stay_and_return_but_not_go_further():
     for sign in (1, -1):
         last = (sign * 1.5, 0.0)
         assert fault(last, last) is None
@@ -180,7 +178,7 @@ def with_joint(q, joint, value):
 
 
 @pytest.mark.parametrize("joint", range(9))
-def test_a_joint_is_believed_to_its_limit_and_a_margin_and_no_further(plausible, joint):
+def test_a_position_is_plausible_up_to_the_limit_plus_a_margin(plausible, joint):
     for bound, sign, word in ((GR.lower - MARGIN, -1, "below"), (GR.upper + MARGIN, 1, "above")):
         assert plausible.of_place(with_joint(GR.home, joint, bound[joint] - sign * 1e-9)) is None
         fault = plausible.of_place(with_joint(GR.home, joint, bound[joint] + sign * 1e-6))
@@ -190,14 +188,14 @@ def test_a_joint_is_believed_to_its_limit_and_a_margin_and_no_further(plausible,
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_a_position_that_is_not_finite_is_nowhere(plausible, value):
+def test_a_non_finite_position_is_implausible(plausible, value):
     assert plausible.of_place(with_joint(GR.home, 4, value)).joint == "a2"
     assert plausible.of_motion(with_joint(GR.home, 4, value), GR.home.tolist(), 1).joint == "a2"
 
 
 @pytest.mark.parametrize("joint", range(9))
 @pytest.mark.parametrize("cycles", [1, 7])
-def test_a_joint_is_believed_as_far_as_it_can_have_moved_since(plausible, joint, cycles):
+def test_a_position_is_plausible_within_the_possible_motion_since_the_last(plausible, joint, cycles):
     resolution = RESOLUTION_M if LINEAR[joint] else RESOLUTION_RAD
     reach = VELOCITY_MARGIN * cycles * CELL.cycle_s * GR.max_velocity[joint] + resolution
     home = GR.home.tolist()
@@ -212,7 +210,7 @@ def test_a_joint_is_believed_as_far_as_it_can_have_moved_since(plausible, joint,
         assert (fault.value, fault.bound) == (pytest.approx(reach, rel=1e-5), pytest.approx(reach))
 
 
-def test_exactly_at_its_bounds_a_position_is_believed(plausible):
+def test_a_position_exactly_at_its_bounds_is_plausible(plausible):
     assert plausible.of_place(plausible.lower) is None
     assert plausible.of_place(plausible.upper) is None
     furthest = [
@@ -222,6 +220,6 @@ def test_exactly_at_its_bounds_a_position_is_believed(plausible):
 
 
 @pytest.mark.parametrize("joints", [6, 10])
-def test_a_position_of_another_number_of_joints_is_an_error_and_never_half_looked_at(plausible, joints):
+def test_a_position_with_a_wrong_number_of_joints_is_an_error(plausible, joints):
     with pytest.raises(ValueError, match="argument"):
         plausible.of_place([0.0] * joints)

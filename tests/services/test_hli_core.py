@@ -112,7 +112,7 @@ def refused(outputs: list[Output]) -> Any:
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, None])
-def test_an_element_that_is_not_finite_is_refused_and_the_joint_is_named(bad: float | None) -> None:
+def test_a_non_finite_element_is_refused_with_its_joint(bad: float | None) -> None:
     bench = Bench().ready()
     reason = refused(bench.move(1, dq=[0.0, 0.0, bad, 0.0, 0.0, 0.0]))
     assert (reason.code, reason.what) == (ReasonCode.NOT_FINITE, "a3")
@@ -133,13 +133,13 @@ def test_an_increment_that_answers_a_cycle_more_than_ten_old_is_stale() -> None:
     assert only(Request, bench.move(2, cycle=90)).seq == 2
 
 
-def test_an_increment_that_answers_a_cycle_to_come_is_refused() -> None:
+def test_an_increment_for_a_future_cycle_is_refused() -> None:
     reason = refused(Bench().ready().move(1, cycle=101))
     assert (reason.code, reason.value, reason.bound) == (ReasonCode.FUTURE_CYCLE, 101, 100)
 
 
 @pytest.mark.parametrize("seq", [4, 5])
-def test_a_sequence_number_that_is_not_greater_than_the_last_is_refused(seq: int) -> None:
+def test_a_sequence_number_not_above_the_last_is_refused(seq: int) -> None:
     bench = Bench().ready()
     bench.move(5)
     bench.state(101)
@@ -147,13 +147,13 @@ def test_a_sequence_number_that_is_not_greater_than_the_last_is_refused(seq: int
     assert (reason.code, reason.bound) == (ReasonCode.REPLAYED_SEQUENCE, 5)
 
 
-def test_a_sequence_number_is_used_up_even_by_an_increment_that_is_refused_for_something_else() -> None:
+def test_a_refused_increment_uses_up_its_sequence_number() -> None:
     bench = Bench().ready()
     refused(bench.move(1, dq=[math.nan] * 6))
     assert refused(bench.move(1)).code is ReasonCode.REPLAYED_SEQUENCE
 
 
-def test_a_robot_that_the_cell_does_not_have_is_refused_by_name() -> None:
+def test_an_unknown_robot_is_refused_by_name() -> None:
     reason = refused(Bench().ready().move(1, robot="ghost"))
     assert (reason.code, reason.what) == (ReasonCode.UNKNOWN_ROBOT, "ghost")
 
@@ -169,7 +169,7 @@ def test_the_lease_of_one_robot_does_not_move_the_other() -> None:
     assert refused(bench.move(1, robot="gr", dq=[0.0] * 9)).code is ReasonCode.LEASE_NOT_HELD
 
 
-def test_even_a_damaged_increment_needs_the_lease_before_it_is_looked_at() -> None:
+def test_a_damaged_increment_without_the_lease_is_refused_for_the_lease() -> None:
     assert refused(Bench().ready().move(1, lease="x", dq=[math.nan])).code is ReasonCode.LEASE_NOT_HELD
 
 
@@ -188,7 +188,7 @@ def test_a_robot_without_a_state_is_not_ready() -> None:
     assert refused(bench.move(1)).code is ReasonCode.NOT_READY
 
 
-def test_a_robot_whose_states_stopped_coming_is_not_ready_and_the_age_is_named() -> None:
+def test_a_robot_with_old_states_is_not_ready_and_the_age_is_reported() -> None:
     bench = Bench().ready()
     bench.now += 0.2
     reason = refused(bench.move(1))
@@ -196,7 +196,7 @@ def test_a_robot_whose_states_stopped_coming_is_not_ready_and_the_age_is_named()
     assert reason.value == pytest.approx(0.2)
 
 
-def test_an_increment_that_is_malformed_gets_an_error_not_a_verdict() -> None:
+def test_a_malformed_increment_gets_an_error_and_no_verdict() -> None:
     bench = Bench().ready()
     outputs = bench.move(1, extra=1, type="increment")
     error = only(Error, outputs)
@@ -216,7 +216,7 @@ def test_an_increment_that_is_malformed_gets_an_error_not_a_verdict() -> None:
         ({}, (None, None, None)),
     ],
 )
-def test_an_error_names_what_it_answers_as_far_as_that_can_be_told(
+def test_an_error_names_its_request_as_far_as_known(
     given: dict[str, Any], named: tuple[str | None, str | None, int | None]
 ) -> None:
     bench = Bench()
@@ -240,9 +240,7 @@ def test_an_increment_goes_to_the_gate_at_once_under_the_epoch_of_its_lease() ->
     assert request == Request(robot="fr", cycle=100, newest=100, lease_epoch=1001, seq=1, dq=(0.001,) * 6)
 
 
-def test_a_second_increment_in_a_cycle_waits_for_the_next_state_and_takes_the_place_of_the_sign_of_life() -> (
-    None
-):
+def test_a_second_increment_in_a_cycle_waits_for_the_next_state_and_replaces_the_heartbeat() -> None:
     bench = Bench().ready()
     bench.move(1)
     assert bench.move(2) == []
@@ -250,7 +248,7 @@ def test_a_second_increment_in_a_cycle_waits_for_the_next_state_and_takes_the_pl
     assert [(r.seq, r.cycle, r.newest, r.dq is None) for r in requests] == [(2, 100, 101, False)]
 
 
-def test_of_several_that_wait_the_newest_is_sent_and_the_others_are_told_that_they_were_superseded() -> None:
+def test_of_several_waiting_increments_the_newest_is_sent_and_the_others_are_superseded() -> None:
     bench = Bench().ready()
     bench.move(1)
     bench.move(2)
@@ -268,7 +266,7 @@ def test_never_more_than_one_increment_goes_to_the_gate_for_a_cycle() -> None:
     assert len(sent(Request, outputs)) == 2
 
 
-def test_every_state_brings_a_sign_of_life_when_nothing_waits() -> None:
+def test_every_state_without_a_waiting_increment_sends_a_heartbeat() -> None:
     bench = Bench()
     request = only(Request, bench.state(100))
     assert request == Request(robot="fr", cycle=100, lease_epoch=0)
@@ -283,7 +281,7 @@ def in_step(**changes: Any) -> Bench:
     return bench
 
 
-def test_an_increment_that_was_decided_and_taken_in_its_cycle_is_followed_by_no_sign_of_life() -> None:
+def test_an_increment_taken_in_its_cycle_is_followed_by_no_heartbeat() -> None:
     bench = in_step()
     assert sent(Request, bench.state(101, sequence=2)) == []
     assert [r.seq for r in sent(Request, bench.move(2, cycle=101))] == [2]
@@ -294,20 +292,18 @@ def test_an_increment_that_was_decided_and_taken_in_its_cycle_is_followed_by_no_
     [(True, 101, 2), (False, 101, 1), (False, 102, 2), (False, 100, 2)],
     ids=["no verdict yet", "not taken", "a state was lost", "the same state again"],
 )
-def test_any_other_increment_is_followed_by_a_sign_of_life(
-    undecided: bool, cycle: int, sequence: int
-) -> None:
+def test_any_other_increment_is_followed_by_a_heartbeat(undecided: bool, cycle: int, sequence: int) -> None:
     bench = in_step(undecided=undecided)
     assert [r.dq for r in sent(Request, bench.state(cycle, sequence=sequence))] == [None]
 
 
-def test_a_controller_that_falls_silent_is_followed_by_a_sign_of_life_in_the_next_cycle() -> None:
+def test_a_silent_controller_is_followed_by_a_heartbeat_in_the_next_cycle() -> None:
     bench = in_step()
     bench.state(101, sequence=2)
     assert [r.dq for r in sent(Request, bench.state(102, sequence=2))] == [None]
 
 
-def test_an_increment_that_went_stale_while_it_waited_is_refused_and_the_gate_gets_a_sign_of_life() -> None:
+def test_a_waiting_increment_that_becomes_stale_is_refused_and_a_heartbeat_sent() -> None:
     bench = Bench().ready()
     bench.move(1)
     bench.move(2)
@@ -335,7 +331,7 @@ def test_an_increment_that_waits_when_the_robot_is_held_is_refused() -> None:
     assert only(Verdict, outputs).reasons[0].code is ReasonCode.STOPPED
 
 
-def test_a_robot_server_that_starts_again_from_zero_is_followed() -> None:
+def test_a_robot_server_restarting_from_zero_is_followed() -> None:
     bench = Bench().ready()
     bench.move(1)
     bench.move(2)
@@ -343,7 +339,7 @@ def test_a_robot_server_that_starts_again_from_zero_is_followed() -> None:
     assert only(Request, bench.move(3, cycle=0)).cycle == 0
 
 
-def test_a_state_that_comes_twice_lets_nothing_more_through() -> None:
+def test_a_repeated_state_lets_no_second_increment_through() -> None:
     bench = Bench().ready()
     bench.move(1)
     bench.move(2)
@@ -358,7 +354,7 @@ def test_a_state_of_a_robot_or_shape_that_the_cell_does_not_have_is_ignored_and_
     assert bench.core.counters["states_ignored"] == 2
 
 
-def test_a_state_is_told_with_the_pose_of_the_tool() -> None:
+def test_a_state_is_published_with_the_pose_of_the_tool() -> None:
     state = published(Bench().state(100), Realm.OPEN)[0]
     assert isinstance(state.message, RobotState)
     assert state.message.tool.position == (0.0, 0.0, 0.1)
@@ -394,7 +390,7 @@ def test_a_verdict_on_a_robot_that_the_cell_does_not_have_is_ignored() -> None:
 # --- stop, reset, outputs ---------------------------------------------------------------------------
 
 
-def test_a_stop_is_commanded_at_once_and_done_when_the_gate_says_so() -> None:
+def test_a_stop_is_commanded_at_once_and_done_on_the_reply_of_the_gate() -> None:
     bench = Bench()
     command = only(Command, bench.core.requests.on_stop(StopRequest(), bench.client, bench.now))
     assert (command.kind, command.robot, command.reason) == ("stop", None, ReasonCode.OPERATOR_STOP)
@@ -402,7 +398,7 @@ def test_a_stop_is_commanded_at_once_and_done_when_the_gate_says_so() -> None:
     assert done == [ToSender(bench.client, Done(what="stop"))]
 
 
-def test_a_stop_drops_the_increment_that_waits() -> None:
+def test_a_stop_drops_the_waiting_increment() -> None:
     bench = Bench().ready()
     bench.move(1)
     bench.move(2)
@@ -419,7 +415,7 @@ def test_a_gate_that_does_not_answer_a_stop_within_half_a_second_is_reported_unr
     assert bench.core.counters["commands_unanswered"] == 1
 
 
-def test_of_stops_that_the_gate_does_not_answer_the_newest_of_each_robot_is_sent_again() -> None:
+def test_the_newest_unanswered_stop_of_each_robot_is_repeated() -> None:
     bench = Bench()
     stop = only(Command, bench.core.requests.on_stop(StopRequest(), bench.client, bench.now))
     for _ in range(MOST_AWAIT_A_STOP - 1):
@@ -489,7 +485,7 @@ def test_a_reset_of_a_robot_that_the_cell_does_not_have_names_those_it_has() -> 
     assert (error.request, error.robot) == ("reset", "ghost")
 
 
-def test_where_an_operators_token_is_set_reset_and_take_need_it_and_stop_does_not() -> None:
+def test_with_an_operator_token_reset_and_take_need_it_and_stop_does_not() -> None:
     bench = Bench(operator_token="s3cret")
     bench.lease(client="octave")
     bench.token = None
@@ -515,7 +511,7 @@ def test_an_output_that_the_robot_does_not_have_is_an_error_that_names_those_it_
     assert error.message == "outputs: 'grip' is not an output of gr; it has gripper"
 
 
-def test_a_name_that_is_no_text_is_answered_in_text() -> None:
+def test_an_invalid_name_is_answered_with_valid_text() -> None:
     error = only(Error, io(Bench(), outputs={"\ud800": True}))
     assert error.code is ReasonCode.MALFORMED
     assert to_line(error)
@@ -538,7 +534,7 @@ def test_only_the_holder_sets_outputs_of_a_leased_robot_and_any_client_reads_the
 # --- looking on -------------------------------------------------------------------------------------
 
 
-def test_the_nearest_pair_is_published_when_the_gate_tells_it_and_only_then() -> None:
+def test_the_nearest_pair_is_published_only_when_the_gate_sends_it() -> None:
     bench = Bench()
     pair = NearestPair(pair=("fr/link_5", "floor"), distance_m=0.4, points_m=((0, 0, 0), (0, 0, 0.4)))
     cell = bench.core.description.identity
@@ -582,7 +578,7 @@ def test_a_dry_run_is_answered_with_the_gates_verdict() -> None:
     assert answer == [ToSender(bench.client, DryRunReply(robot="fr", verdict=said))]
 
 
-def test_a_dry_run_of_the_wrong_length_is_told_how_many_joints_there_are() -> None:
+def test_a_dry_run_of_the_wrong_length_is_answered_with_the_joint_count() -> None:
     bench = Bench()
     asked = DryRunRequest(robot="fr", dq=(0.0,) * 5)
     error = only(Error, bench.core.requests.on_dry_run(asked, bench.client, bench.now))
@@ -628,7 +624,7 @@ def test_a_command_names_the_newest_cycle_of_every_robot_with_a_state() -> None:
     assert reset(bench).cycles == {"fr": 7, "gr": 5}
 
 
-def test_a_command_that_did_not_know_the_gate_s_epoch_is_sent_again_with_it() -> None:
+def test_a_command_without_the_epoch_of_the_gate_is_repeated_with_it() -> None:
     bench = Bench()
     first = reset(bench)
     second = only(Command, bench.core.on_command_reply(out_of_turn(first, "stale_epoch", 77)))
@@ -637,7 +633,7 @@ def test_a_command_that_did_not_know_the_gate_s_epoch_is_sent_again_with_it() ->
     assert reset(bench).epoch == 77
 
 
-def test_an_hli_whose_ids_begin_below_those_of_an_earlier_one_goes_on_from_there() -> None:
+def test_a_new_hli_continues_from_the_command_ids_of_an_earlier_one() -> None:
     bench = Bench()
     first, second = reset(bench), reset(bench)
     again = [
@@ -647,7 +643,7 @@ def test_an_hli_whose_ids_begin_below_those_of_an_earlier_one_goes_on_from_there
     assert [one.id for one in again] == [9_001, 9_002]
 
 
-def test_nothing_that_was_asked_before_a_stop_is_sent_again_after_it() -> None:
+def test_commands_from_before_a_stop_are_not_repeated_after_it() -> None:
     bench = Bench()
     first = reset(bench)
     bench.core.requests.on_stop(StopRequest(), bench.client, bench.now)
@@ -656,14 +652,14 @@ def test_nothing_that_was_asked_before_a_stop_is_sent_again_after_it() -> None:
     assert reset(bench).epoch == 77
 
 
-def test_that_a_copy_of_a_command_was_refused_is_no_answer_to_it() -> None:
+def test_the_refusal_of_a_copy_is_no_answer_to_a_command() -> None:
     bench = Bench()
     command = reset(bench)
     assert bench.core.on_command_reply(out_of_turn(command, "replayed_sequence", newest_id=command.id)) == []
     assert only(Done, bench.core.on_command_reply(CommandReply(id=command.id, accepted=True)))
 
 
-def test_a_command_that_was_too_late_is_told_and_not_sent_again() -> None:
+def test_a_late_command_is_reported_and_not_repeated() -> None:
     bench = Bench()
     told = only(Error, bench.core.on_command_reply(out_of_turn(reset(bench), "stale_cycle")))
     assert told.code is ReasonCode.STALE_CYCLE

@@ -54,12 +54,12 @@ def assert_it_turns_a1_by_ten_degrees_and_gives_the_lease_back(example: str, ser
 
 @pytest.mark.service
 @pytest.mark.parametrize("example", CLIENTS)
-def test_the_example_turns_a1_by_ten_degrees_and_gives_the_lease_back(example: str, server: Server) -> None:
+def test_the_example_turns_a1_by_ten_degrees_and_releases_the_lease(example: str, server: Server) -> None:
     assert_it_turns_a1_by_ten_degrees_and_gives_the_lease_back(example, server)
 
 
 @pytest.mark.service
-def test_the_example_that_does_not_wait_reckons_with_what_is_in_flight_in_a_cell_with_a_lookahead() -> None:
+def test_the_non_blocking_example_counts_increments_in_flight_with_a_lookahead() -> None:
     """Left out of account, what is in flight would be asked for again, and the robot would go too far."""
     with Server(gate={"lookahead_cycles": 3}) as server:
         assert_it_turns_a1_by_ten_degrees_and_gives_the_lease_back("without_waiting.py", server)
@@ -72,14 +72,14 @@ def drained(server: Server) -> Iterator[Request]:
 
 @pytest.mark.service
 @pytest.mark.parametrize("example", CLIENTS)
-def test_the_example_ends_at_a_robot_that_is_held_and_says_why(example: str, server: Server) -> None:
+def test_the_example_ends_at_a_held_robot_with_the_reason(example: str, server: Server) -> None:
     server.peer.phases["fr"], server.peer.reasons["fr"] = Phase.HELD, ReasonCode.CONTROLLER_LOST
     done = run(example, *arguments(example, server))
     assert (done.returncode, done.stderr) == (1, f"{HELD}\n")
 
 
 @pytest.mark.service
-def test_the_socket_example_is_refused_while_another_holds_the_lease(server: Server) -> None:
+def test_the_socket_example_is_refused_while_another_client_holds_the_lease(server: Server) -> None:
     with connect(server.description.hli, client="first") as cell, cell.lease("fr"):
         done = run("over_a_socket.py", *arguments("over_a_socket.py", server))
     assert done.returncode == 1
@@ -87,7 +87,7 @@ def test_the_socket_example_is_refused_while_another_holds_the_lease(server: Ser
 
 
 @pytest.mark.parametrize("example", sorted(path.name for path in EXAMPLES.glob("*.py")))
-def test_the_example_says_what_it_needs_in_inline_script_metadata(example: str) -> None:
+def test_the_example_declares_its_dependencies_as_inline_metadata(example: str) -> None:
     lines = (EXAMPLES / example).read_text().splitlines()
     block = lines[lines.index("# /// script") + 1 : lines.index("# ///")]
     metadata = tomllib.loads("\n".join(line.removeprefix("# ") for line in block))

@@ -110,7 +110,7 @@ def dialogue(server: Server, lines: list[bytes]) -> list[dict[str, Any]]:
 @lasting
 @given(st.lists(LINES, max_size=5))
 @example([b'{"type":"stop"}', b'{"type":"describe"}'])
-def test_every_line_is_answered_and_the_connection_and_the_service_live(
+def test_every_line_is_answered_and_connection_and_service_survive(
     server: Server, lines: list[bytes]
 ) -> None:
     answers = dialogue(server, lines)

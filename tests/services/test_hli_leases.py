@@ -46,7 +46,7 @@ def test_a_lease_runs_out_when_nothing_renews_it() -> None:
     assert bench.core.counters["leases_expired"] == 1
 
 
-def test_whoever_loses_a_lease_for_silence_is_told_so_with_the_bound_and_what_to_do() -> None:
+def test_a_client_that_loses_a_lease_by_silence_gets_bound_and_remedy() -> None:
     bench = Bench().ready()
     bench.now += 1.0
     error = only(Error, bench.core.on_tick(bench.now))
@@ -56,7 +56,7 @@ def test_whoever_loses_a_lease_for_silence_is_told_so_with_the_bound_and_what_to
     assert "acquire" in error.hint
 
 
-def test_a_line_of_a_holder_does_not_wake_a_lease_that_has_run_out() -> None:
+def test_a_line_does_not_renew_an_expired_lease() -> None:
     bench = Bench().ready()
     assert bench.token is not None
     bench.now += 1.0
@@ -64,7 +64,7 @@ def test_a_line_of_a_holder_does_not_wake_a_lease_that_has_run_out() -> None:
     assert not bench.lease("renew", lease=bench.token).granted
 
 
-def test_a_line_of_a_former_holder_does_not_keep_the_lease_of_the_next() -> None:
+def test_a_line_of_a_former_holder_does_not_renew_the_next_lease() -> None:
     bench = Bench().ready()
     former, bench.token = bench.token, None
     assert former is not None
@@ -75,7 +75,7 @@ def test_a_line_of_a_former_holder_does_not_keep_the_lease_of_the_next() -> None
     assert not bench.lease("renew", lease=bench.token).granted
 
 
-def test_a_copy_of_an_increment_is_no_sign_of_life() -> None:
+def test_a_copy_of_an_increment_does_not_renew_the_lease() -> None:
     bench = Bench().ready()
     bench.move(1)
     bench.now += 0.9
@@ -84,7 +84,7 @@ def test_a_copy_of_an_increment_is_no_sign_of_life() -> None:
     assert not bench.lease("renew", lease=bench.token).granted
 
 
-def test_a_renewal_and_an_accepted_increment_both_let_the_lease_last_from_now() -> None:
+def test_a_renewal_and_an_accepted_increment_both_renew_the_lease() -> None:
     bench = Bench().ready()
     bench.now += 0.9
     assert bench.lease("renew", lease=bench.token).expires_s == pytest.approx(1.0)
@@ -100,7 +100,7 @@ def test_a_renewal_and_an_accepted_increment_both_let_the_lease_last_from_now() 
     [{}, {"cycle": 1}, {"cycle": 200}, {"dq": (0.0,) * 7}, {"dq": [None] * 6}, {"dq": "fast"}],
     ids=["not heard", "stale", "future", "long", "not finite", "no list"],
 )
-def test_an_increment_that_is_refused_is_a_sign_of_a_living_controller(bad: dict[str, Any]) -> None:
+def test_a_refused_increment_renews_the_lease(bad: dict[str, Any]) -> None:
     bench = Bench().ready()
     bench.now += 0.9
     bench.move(1, **bad)  # its robot is not heard any more, whatever else is wrong with it
@@ -109,7 +109,7 @@ def test_an_increment_that_is_refused_is_a_sign_of_a_living_controller(bad: dict
     assert bench.lease("renew", lease=bench.token).granted
 
 
-def test_reading_or_setting_outputs_keeps_the_lease() -> None:
+def test_reading_or_setting_outputs_renews_the_lease() -> None:
     bench = Bench().ready()
     bench.now += 0.9
     bench.core.requests.on_io(IoRequest(robot="fr", lease=bench.token), bench.client, bench.now)
@@ -117,7 +117,7 @@ def test_reading_or_setting_outputs_keeps_the_lease() -> None:
     assert bench.lease("renew", lease=bench.token).granted
 
 
-def test_acquiring_again_with_the_token_is_a_renewal_and_keeps_the_epoch() -> None:
+def test_acquiring_again_with_the_token_renews_and_keeps_the_epoch() -> None:
     bench = Bench().ready()
     assert bench.lease(lease=bench.token).granted
     assert only(Request, bench.move(1)).lease_epoch == 1001
@@ -136,7 +136,7 @@ def test_every_grant_has_an_epoch_and_a_token_of_its_own_and_begins_with_any_seq
     assert len(tokens) == 4
 
 
-def test_whoever_takes_a_lease_has_it_and_the_former_holder_is_told_with_the_next_increment() -> None:
+def test_taking_a_lease_moves_it_and_the_former_holder_learns_at_the_next_increment() -> None:
     bench = Bench().ready()
     former = bench.token
     bench.token = None
@@ -154,7 +154,7 @@ def test_taking_a_lease_does_not_stop_the_robot() -> None:
     assert not sent(Command, bench.core.on_tick(bench.now))
 
 
-def test_releasing_a_lease_stops_nothing_and_the_increment_that_waited_is_dropped() -> None:
+def test_releasing_a_lease_drops_the_waiting_increment_without_a_stop() -> None:
     bench = Bench().ready()
     bench.move(1)
     bench.move(2)
@@ -165,7 +165,7 @@ def test_releasing_a_lease_stops_nothing_and_the_increment_that_waited_is_droppe
     assert not sent(Command, outputs)
 
 
-def test_a_holder_that_moved_the_robot_and_falls_silent_stops_it_for_controller_lost() -> None:
+def test_a_holder_that_falls_silent_in_motion_holds_the_robot_as_controller_lost() -> None:
     bench = Bench().ready()
     bench.move(1)
     bench.move(2)
@@ -177,7 +177,7 @@ def test_a_holder_that_moved_the_robot_and_falls_silent_stops_it_for_controller_
 
 
 @pytest.mark.parametrize("phase", [Phase.ENGAGED, Phase.BRAKING])
-def test_a_holder_that_sent_nothing_but_whose_robot_moves_stops_it_when_its_connection_breaks(
+def test_a_broken_connection_stops_a_moving_robot_without_increments(
     phase: Phase,
 ) -> None:
     bench = Bench().ready()
@@ -186,7 +186,7 @@ def test_a_holder_that_sent_nothing_but_whose_robot_moves_stops_it_when_its_conn
     assert controller_lost(bench.core.requests.on_connection_lost([("fr", bench.token)], bench.now))
 
 
-def test_a_holder_that_never_moved_its_robot_at_rest_may_vanish() -> None:
+def test_a_holder_that_never_moved_its_robot_may_disconnect() -> None:
     bench = Bench().ready()
     assert bench.token is not None
     assert bench.core.requests.on_connection_lost([("fr", bench.token)], bench.now) == []
@@ -202,9 +202,7 @@ def test_a_connection_that_breaks_after_its_lease_was_taken_stops_nothing() -> N
     assert bench.core.requests.on_connection_lost([("fr", former)], bench.now) == []
 
 
-def test_a_lost_controller_that_the_gate_is_not_there_to_hear_of_is_counted_and_its_robot_stopped_later() -> (
-    None
-):
+def test_a_lost_controller_without_a_gate_is_counted_and_its_robot_stopped_later() -> None:
     bench = Bench().ready()
     bench.move(1)
     stop = only(Command, bench.core.on_tick(bench.now + 1.0))
@@ -218,7 +216,7 @@ def test_a_lost_controller_that_the_gate_is_not_there_to_hear_of_is_counted_and_
     assert bench.core.on_tick(bench.now + 60.0) == []
 
 
-def test_a_controller_that_has_its_lease_again_does_not_outlive_the_stop_that_its_silence_brought() -> None:
+def test_a_reacquired_lease_does_not_cancel_the_stop_for_its_silence() -> None:
     bench = Bench().ready()
     bench.move(1)
     bench.now += 1.0
@@ -230,7 +228,7 @@ def test_a_controller_that_has_its_lease_again_does_not_outlive_the_stop_that_it
     assert sent(Command, bench.state(102)) == [stop]
 
 
-def test_an_hli_that_finds_the_time_of_day_set_back_goes_on_from_the_epochs_that_the_gate_knows() -> None:
+def test_an_hli_with_a_set_back_clock_continues_from_the_epochs_of_the_gate() -> None:
     bench = Bench().ready()
     stale = only(Request, bench.move(1)).lease_epoch
     known = Reason(code=ReasonCode.LEASE_NOT_HELD, what="lease_epoch", value=stale, bound=5_000)

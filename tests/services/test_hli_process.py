@@ -54,7 +54,7 @@ async def process(*arguments: str, **environment: str) -> AsyncIterator[asyncio.
         await started.communicate()
 
 
-async def test_it_says_when_it_is_ready_serves_both_fronts_and_ends_cleanly(tmp_path: Path) -> None:
+async def test_the_process_reports_ready_serves_both_fronts_and_ends_cleanly(tmp_path: Path) -> None:
     port = free_port()
     file, hli = cell_file(tmp_path, port)
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -74,7 +74,7 @@ async def test_it_says_when_it_is_ready_serves_both_fronts_and_ends_cleanly(tmp_
             assert (started.returncode, out, err) == (0, b"", b"")
 
 
-async def test_its_log_is_one_object_a_line_and_no_token_is_in_it(tmp_path: Path) -> None:
+async def test_the_log_is_one_object_a_line_without_tokens(tmp_path: Path) -> None:
     port, token, guess = free_port(), "the-operators-token", "a-guessed-token"
     file, hli = cell_file(tmp_path, port)
     told: list[str] = []
@@ -111,7 +111,7 @@ async def test_its_log_is_one_object_a_line_and_no_token_is_in_it(tmp_path: Path
         assert secret not in everything
 
 
-async def test_a_port_that_is_taken_ends_it_with_status_3_and_says_which(tmp_path: Path) -> None:
+async def test_a_used_port_ends_the_process_with_status_3_and_its_number(tmp_path: Path) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -123,7 +123,7 @@ async def test_a_port_that_is_taken_ends_it_with_status_3_and_says_which(tmp_pat
     assert b"Traceback" not in err
 
 
-async def test_a_cell_that_does_not_exist_ends_it_with_status_2() -> None:
+async def test_a_missing_cell_ends_the_process_with_status_2() -> None:
     async with process("--cell", "nowhere") as started:
         _, err = await asyncio.wait_for(started.communicate(), 300)
     assert started.returncode == 2
@@ -167,7 +167,7 @@ async def test_kill_9_in_a_flood_leaves_whole_lines_in_the_audit_log_and_the_nex
         before = now
 
 
-async def test_where_tokens_are_needed_it_warns_of_links_in_the_clear_with_field_and_remedy(
+async def test_with_required_tokens_unencrypted_links_are_warned_of_with_field_and_remedy(
     tmp_path: Path,
 ) -> None:
     file, hli = cell_file(tmp_path, free_port())

@@ -119,7 +119,7 @@ class Day:
 @pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize("seed", range(3))
-def test_another_may_take_its_place_at_any_moment(seed):
+def test_a_restored_snapshot_behaves_identically_at_any_moment(seed):
     day = Day(seed)
     for _ in range(700):
         day.now_s += day.random.choice([0.0, 0.004, 0.012, 0.012, 0.3])

@@ -66,7 +66,7 @@ def increment(seq: int, cycle: int, dq: Any = None, robot: str = "fr") -> dict[s
 # --- refused, and the connection lives ---------------------------------------------------------------
 
 
-async def test_bad_increments_are_each_refused_with_their_reason_and_a_good_one_after_them_is_admitted(
+async def test_bad_increments_are_refused_with_their_reasons_and_the_next_good_one_admitted(
     running: Running,
 ) -> None:
     async with json_client(running.port) as client:
@@ -109,7 +109,7 @@ async def test_the_token_of_a_lease_never_leaves_the_server_over_tcp(running: Ru
         assert (await leased(client))["lease"] is None
 
 
-async def test_malformed_lines_get_an_error_each_and_the_connection_lives(running: Running) -> None:
+async def test_malformed_lines_get_an_error_each_and_the_connection_survives(running: Running) -> None:
     async with json_client(running.port) as client:
         for line in (
             b"",
@@ -185,7 +185,7 @@ async def test_a_line_of_exactly_64_kib_is_read(running: Running) -> None:
 
 
 @pytest.mark.parametrize("extra", [{}, {"a_field_of_version_2": True}])
-async def test_a_client_of_another_version_is_told_both_versions_and_disconnected(
+async def test_a_client_of_another_version_gets_both_versions_and_is_disconnected(
     running: Running, extra: dict[str, Any]
 ) -> None:
     async with json_client(running.port, name=None) as client:
@@ -196,7 +196,7 @@ async def test_a_client_of_another_version_is_told_both_versions_and_disconnecte
         await client.ended()
 
 
-async def test_before_the_hello_nothing_is_served_but_a_stop(running: Running) -> None:
+async def test_before_the_hello_only_a_stop_is_served(running: Running) -> None:
     await running.peer.turn()
     async with json_client(running.port, name=None) as client:
         error = await client.ask("lease", type="lease", robot="fr", action="acquire")
@@ -295,7 +295,7 @@ async def test_a_malformed_line_does_not_keep_a_lease(running: Running) -> None:
         assert lease.expires_s == before_s
 
 
-async def test_a_gate_that_comes_back_is_found_again(running: Running) -> None:
+async def test_a_restarted_gate_is_found_again(running: Running) -> None:
     await running.peer.turn()
     running.peer.close()
     async with guarded_peer(running.peer.cell) as peer, json_client(running.port) as client:
@@ -310,7 +310,7 @@ async def test_a_gate_that_comes_back_is_found_again(running: Running) -> None:
 
 
 @pytest.mark.long
-async def test_a_flood_of_increments_lets_one_a_cycle_through_and_does_not_keep_others_waiting(
+async def test_a_flood_of_increments_passes_one_a_cycle_without_delaying_others(
     running: Running,
 ) -> None:
     async with json_client(running.port, "flood") as flood, json_client(running.port) as other:
@@ -331,7 +331,7 @@ async def test_a_flood_of_increments_lets_one_a_cycle_through_and_does_not_keep_
 
 
 @pytest.mark.long
-async def test_a_reader_that_stops_reading_costs_a_bound_and_sees_the_newest_state_when_it_reads_again(
+async def test_a_blocked_reader_uses_bounded_memory_and_later_gets_the_newest_state(
     running: Running,
 ) -> None:
     async with json_client(running.port) as slow:
@@ -356,7 +356,7 @@ async def test_a_reader_that_stops_reading_costs_a_bound_and_sees_the_newest_sta
         assert len(cycles) < last - cycles[0]
 
 
-async def test_a_client_that_asks_and_does_not_read_is_disconnected(running: Running) -> None:
+async def test_a_client_that_does_not_read_its_answers_is_disconnected(running: Running) -> None:
     async with json_client(running.port) as rude:
         rude.writer.transport.pause_reading()
         answer = len(json.dumps({"type": "describe"}))
@@ -367,7 +367,7 @@ async def test_a_client_that_asks_and_does_not_read_is_disconnected(running: Run
         await running.counted("connections_lost")
 
 
-async def test_a_client_that_is_sent_away_and_does_not_read_why_leaves_its_place_all_the_same(
+async def test_a_refused_client_that_does_not_read_frees_its_place(
     running: Running, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tcp_connection, "CLOSE_DEADLINE_S", 0.05)
@@ -409,7 +409,7 @@ async def test_a_flood_of_connections_is_refused_and_delays_no_connected_client(
             writer.close()
 
 
-async def test_one_connection_too_many_is_refused_and_told_so(
+async def test_a_connection_beyond_the_limit_is_refused_with_an_error(
     running: Running, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tcp_connection, "HELLO_DEADLINE_S", 600.0)

@@ -133,12 +133,12 @@ def test_an_impossible_view_is_refused_and_changes_nothing(
         {"targets": [{"focus_m": (0.0, 0.0, 1e9)}]},
     ],
 )
-def test_a_view_beyond_its_bounds_is_no_message(fields: dict[str, Any]) -> None:
+def test_a_view_beyond_its_bounds_is_malformed(fields: dict[str, Any]) -> None:
     with pytest.raises(InvalidMessageError, match=next(iter(fields))):
         Desk().ask(**fields)
 
 
-def test_a_view_needs_the_controllers_token_where_there_is_one() -> None:
+def test_a_view_needs_the_controller_token_if_configured() -> None:
     desk = Desk(controller_token="open sesame")
     answer = desk.ask(distance_m=1.0)
     assert isinstance(answer, Error)
@@ -146,7 +146,7 @@ def test_a_view_needs_the_controllers_token_where_there_is_one() -> None:
     assert isinstance(desk.ask(distance_m=1.0, token="open sesame"), ViewReply)
 
 
-def test_wishes_add_up_and_the_robots_states_tell_them() -> None:
+def test_view_requests_accumulate_and_are_published_in_states() -> None:
     desk = Desk()
     assert desk.shown() is None
     desk.ask(distance_m=0.9)
@@ -157,7 +157,7 @@ def test_wishes_add_up_and_the_robots_states_tell_them() -> None:
     assert (desk.deeds[-1].what, desk.deeds[-1].outcome) == (AuditKind.VIEW, AuditOutcome.DONE)
 
 
-def test_a_fixed_point_ends_when_a_tool_is_to_be_looked_at_again() -> None:
+def test_a_request_for_a_tool_ends_a_fixed_point() -> None:
     desk = Desk()
     desk.ask(focus_m=(0.0, -1.0, 1.0), distance_m=1.0)
     assert desk.shown() == ViewWish(distance_m=1.0, focus_m=(0.0, -1.0, 1.0))
@@ -167,7 +167,7 @@ def test_a_fixed_point_ends_when_a_tool_is_to_be_looked_at_again() -> None:
     assert desk.shown() == ViewWish(distance_m=1.1, leader="fr2")
 
 
-def test_several_targets_replace_each_other_target_and_end_with_the_next_of_another_kind() -> None:
+def test_several_targets_replace_a_single_one_and_end_with_the_next_kind() -> None:
     desk = Desk()
     desk.ask(leader="fr2", aim_offset_m=(0.0, 0.0, 0.04), distance_m=1.0)
     targets = (ViewTarget(leader="gr"), ViewTarget(focus_m=(0.0, -1.0, 1.0)))

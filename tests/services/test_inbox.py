@@ -44,18 +44,18 @@ def test_the_first_request_is_valid_with_any_number(inbox):
 
 
 @pytest.mark.parametrize(("dq", "count"), [((0.0,) * 5, 5), ((0.0,) * 7, 7), (None, 0)])
-def test_a_wrong_number_of_joints_is_told_with_the_right_one(inbox, dq, count):
+def test_a_wrong_number_of_joints_is_reported_with_the_right_one(inbox, dq, count):
     told = Reason(code=ReasonCode.BAD_SHAPE, what="dq", value=count, bound=6)
     assert inbox.fault(request(dq=dq)) == told
 
 
-def test_a_lease_that_was_followed_by_another_is_told_with_the_present_one(inbox):
+def test_an_outdated_lease_is_reported_with_the_present_one(inbox):
     told = Reason(code=ReasonCode.LEASE_NOT_HELD, what="lease_epoch", value=2, bound=3)
     assert holding(inbox, lease_epoch=3).fault(request(lease_epoch=2, seq=9)) == told
 
 
 @pytest.mark.parametrize("seq", [4, 5])
-def test_a_sequence_number_counts_once_and_is_told_with_the_newest(inbox, seq):
+def test_a_repeated_sequence_number_is_reported_with_the_newest(inbox, seq):
     told = Reason(code=ReasonCode.REPLAYED_SEQUENCE, what="seq", value=seq, bound=5)
     assert holding(inbox, seq=5).fault(request(seq=seq)) == told
 
@@ -66,7 +66,7 @@ def test_the_next_number_and_a_newer_lease_are_valid(inbox):
     assert inbox.fault(request(seq=0, lease_epoch=4)) is None
 
 
-def test_a_newer_request_replaces_the_one_that_waits(inbox):
+def test_a_newer_request_replaces_the_waiting_one(inbox):
     first, second = request(seq=1), request(seq=2)
     assert inbox.put(first, HERE) is None
     assert inbox.put(second, HERE) is first
@@ -79,7 +79,7 @@ def test_a_request_that_overtook_its_state_by_little_waits_for_it(inbox, ahead, 
     assert holding(inbox, cycle=HERE + ahead).due(state()) is due
 
 
-def test_nothing_is_due_without_a_request_or_on_a_state_that_was_decided(inbox):
+def test_nothing_is_due_without_a_request_or_on_a_decided_state(inbox):
     assert not inbox.due(state())
     holding(inbox)
     inbox.decided_cycle = HERE
@@ -96,7 +96,7 @@ def test_a_carried_over_request_is_due_after_the_hlis_first_message_of_the_cycle
     assert inbox.due(state(HERE + 1))
 
 
-def test_a_heartbeat_may_overtake_its_state_and_one_from_far_off_says_nothing(inbox):
+def test_a_heartbeat_may_slightly_overtake_its_state_and_a_distant_one_is_ignored(inbox):
     holding(inbox).decided_cycle = HERE
     assert inbox.heartbeat(request(HERE + 50, lease_epoch=9, dq=None), HERE) is None
     inbox.cycle_passed(HERE + 1, missed=False)
@@ -121,14 +121,14 @@ def test_a_request_that_overtook_its_state_is_due_when_the_state_comes(inbox):
     assert inbox.due(state(HERE + 2))
 
 
-def test_that_the_hli_has_spoken_in_a_cycle_is_not_forgotten_for_what_came_before(inbox):
+def test_a_late_message_does_not_undo_a_newer_message_of_the_hli(inbox):
     inbox.heartbeat(request(HERE + 1, dq=None), HERE)
     holding(inbox).decided_cycle = HERE
     inbox.cycle_passed(HERE + 1, missed=False)
     assert inbox.due(state(HERE + 1))
 
 
-def test_a_request_from_far_off_does_not_speak_for_the_cycles_until_then(inbox):
+def test_a_request_for_a_distant_cycle_does_not_count_for_the_cycles_before(inbox):
     holding(inbox, cycle=HERE + 50, seq=1).take()
     holding(inbox, seq=2).decided_cycle = HERE
     inbox.cycle_passed(HERE + 1, missed=False)
@@ -142,7 +142,7 @@ def test_a_request_that_waited_in_the_hli_waits_for_its_state_in_the_gate_too(in
     assert inbox.due(state(HERE + 1))
 
 
-def test_a_heartbeat_of_another_lease_takes_what_waits_away(inbox):
+def test_a_heartbeat_of_another_lease_removes_the_waiting_request(inbox):
     waiting = request()
     inbox.put(waiting, HERE)
     assert inbox.heartbeat(request(lease_epoch=0, dq=None), HERE) is waiting
@@ -160,7 +160,7 @@ def test_an_answer_to_a_state_older_than_the_last_is_not_carried_over(inbox):
 @pytest.mark.parametrize(
     ("answers", "missed", "comes_back"), [(HERE, True, True), (HERE, False, False), (HERE - 1, True, False)]
 )
-def test_a_request_comes_back_if_its_admission_was_missed_and_it_is_late_by_one_cycle_only(
+def test_a_request_with_a_missed_admission_returns_if_late_by_one_cycle_only(
     inbox, answers, missed, comes_back
 ):
     decided = inbox.decided = request(answers)
@@ -169,7 +169,7 @@ def test_a_request_comes_back_if_its_admission_was_missed_and_it_is_late_by_one_
     assert inbox.decided is None
 
 
-def test_a_request_does_not_come_back_past_a_newer_one_another_lease_or_what_forgets_it(inbox):
+def test_a_missed_request_does_not_return_after_a_newer_one_another_lease_or_a_reset(inbox):
     def missed():
         inbox.cycle_passed(HERE + 1, missed=True)
         return inbox.waiting
@@ -195,7 +195,7 @@ def test_even_the_first_states_of_all_are_decided(inbox, cycle):
     assert holding(inbox, cycle=cycle).due(state(cycle))
 
 
-def test_a_request_for_a_cycle_that_is_far_off_is_told_the_present_one(inbox):
+def test_a_request_for_a_distant_cycle_is_answered_with_the_present_one(inbox):
     told = Reason(code=ReasonCode.FUTURE_CYCLE, what="cycle", value=HERE + 3, bound=HERE)
     assert holding(inbox, cycle=HERE + 3).fault_on(state(), stopping=False) == told
 
@@ -215,7 +215,7 @@ def test_a_request_may_answer_a_state_of_the_greatest_age_and_none_older(inbox):
         (Phase.ENGAGED, True, ReasonCode.STOPPED),
     ],
 )
-def test_a_robot_that_may_not_move_says_why(inbox, phase, stopping, code):
+def test_a_request_to_a_robot_that_may_not_move_has_its_reason(inbox, phase, stopping, code):
     assert holding(inbox).fault_on(state(phase=phase), stopping) == Reason(code=code)
 
 
@@ -238,7 +238,7 @@ def made(cycle_s, **changes):
     ("cycle_s", "max_request_age_s", "cycles"),
     [(0.012, 0.12, 10), (0.012, 0.06, 5), (0.012, 9.0, 10), (0.004, 0.12, 10), (0.004, 0.02, 5)],
 )
-def test_requests_and_commands_may_be_as_old_as_the_stricter_of_table_and_cell_says(
+def test_the_stricter_of_table_and_cell_bounds_the_age_of_requests_and_commands(
     cycle_s, max_request_age_s, cycles
 ):
     robot = made(cycle_s, max_request_age_s=max_request_age_s)
@@ -262,7 +262,7 @@ def missed(rig):
     rig.cycle()
 
 
-def test_an_admission_that_came_too_late_is_decided_once_more_for_the_next_cycle(rig):
+def test_an_increment_with_a_late_admission_is_decided_again_for_the_next_cycle(rig):
     first = rig.request(seq=1)
     at_rest = rig.state.q_cmd
     assert first.setpoint_cycle == rig.state.cycle + 1
@@ -276,7 +276,7 @@ def test_an_admission_that_came_too_late_is_decided_once_more_for_the_next_cycle
     assert rig.sim.counters["in_hand_fr"] == 1
 
 
-def test_each_increment_that_is_kept_in_hand_is_counted(rig):
+def test_each_carried_over_increment_is_counted(rig):
     for count in (1, 2, 3):
         rig.request()
         missed(rig)
@@ -285,7 +285,7 @@ def test_each_increment_that_is_kept_in_hand_is_counted(rig):
         assert rig.sim.counters["in_hand_fr"] == count
 
 
-def test_an_admission_that_was_taken_is_not_decided_again(rig):
+def test_an_increment_with_a_taken_admission_is_not_decided_again(rig):
     rig.request()
     rig.cycle()
     assert rig.alive() is None
@@ -294,7 +294,7 @@ def test_an_admission_that_was_taken_is_not_decided_again(rig):
     assert rig.sim.counters["in_hand_fr"] == 0
 
 
-def test_it_is_late_by_one_cycle_and_not_by_two(rig):
+def test_an_increment_is_carried_over_by_one_cycle_and_not_by_two(rig):
     rig.request()
     missed(rig)
     assert rig.alive().outcome is Outcome.ADMITTED
@@ -302,7 +302,7 @@ def test_it_is_late_by_one_cycle_and_not_by_two(rig):
     assert rig.alive() is None
 
 
-def test_a_newer_increment_takes_its_place_and_it_is_told_that_it_went_into_no_cycle(rig):
+def test_a_newer_increment_replaces_a_carried_over_one_and_its_client_learns_it(rig):
     rig.request(seq=1)
     missed(rig)
     newer = rig.request(seq=2)
@@ -312,7 +312,7 @@ def test_a_newer_increment_takes_its_place_and_it_is_told_that_it_went_into_no_c
     assert older.reasons[0].code is ReasonCode.SUPERSEDED
 
 
-def test_with_a_silent_hli_nothing_is_used_from_hand(rig):
+def test_with_a_silent_hli_no_increment_is_carried_over(rig):
     rig.request()
     missed(rig)
     rig.cycle()
@@ -323,7 +323,7 @@ def test_with_a_silent_hli_nothing_is_used_from_hand(rig):
     assert rig.state.phase is Phase.READY
 
 
-def test_nothing_goes_from_one_lease_into_the_next(rig):
+def test_no_increment_is_carried_over_into_the_next_lease(rig):
     rig.request()
     missed(rig)
     verdict = rig.alive(lease_epoch=2)
@@ -331,7 +331,7 @@ def test_nothing_goes_from_one_lease_into_the_next(rig):
     assert rig.alive() is None
 
 
-def test_nothing_outlives_a_stop_or_a_reset(rig):
+def test_no_carried_over_increment_survives_a_stop_or_a_reset(rig):
     rig.request()
     missed(rig)
     rig.command(kind="stop")
@@ -348,7 +348,7 @@ def test_nothing_outlives_a_stop_or_a_reset(rig):
     assert rig.alive() is None
 
 
-def test_a_reset_of_a_robot_that_moves_ends_what_is_in_hand(rig):
+def test_a_reset_of_a_moving_robot_drops_its_carried_over_increment(rig):
     rig.request()
     rig.request(seq=9)
     rig.command(kind="reset", robot="fr")
@@ -357,7 +357,7 @@ def test_a_reset_of_a_robot_that_moves_ends_what_is_in_hand(rig):
     assert rig.alive() is None
 
 
-def test_nothing_outlives_the_robot_server(rig):
+def test_no_carried_over_increment_survives_its_robot_server(rig):
     rig.request()
     rig.restart_server("fr")
     rig.cycle()
@@ -503,12 +503,12 @@ def waiting(decided_cycle, step, lookahead_cycles=3):
         (18, 4, 22, True),  # it rests, and can wait
     ],
 )
-def test_an_increment_goes_into_the_setpoint_behind_those_in_flight(decided_cycle, step, goes_after, due):
+def test_an_increment_gets_the_setpoint_after_those_in_flight(decided_cycle, step, goes_after, due):
     assert waiting(decided_cycle, step) == (goes_after, due)
 
 
 @pytest.mark.parametrize("decided_cycle", [19, 20, 22])
-def test_where_the_chain_broke_as_much_is_in_flight_again_as_may_be(decided_cycle):
+def test_after_a_broken_chain_the_lookahead_is_filled_again(decided_cycle):
     inbox = Inbox(joints=6, max_age_cycles=10, lookahead_cycles=3)
     inbox.decided_cycle = decided_cycle
     inbox.cycle_passed(20, missed=False)

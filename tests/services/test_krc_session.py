@@ -76,12 +76,12 @@ def test_a_session_is_confirmed_by_the_last_of_its_first_telegrams_and_answered_
     )
 
 
-def test_one_row_of_the_automaton_applies_to_each_belief_and_kind_that_can_be():
+def test_exactly_one_row_of_the_automaton_applies_to_each_possible_belief_and_kind():
     keys = [(row.belief, row.kind) for row in AUTOMATON]
     assert len(set(keys)) == len(keys)
 
 
-def test_telegrams_that_come_twice_as_fast_as_a_krc_sends_them_are_believed_and_faster_ones_are_not():
+def test_telegrams_up_to_twice_the_rate_of_a_krc_are_believed_and_faster_ones_are_not():
     for pace, kind in ((0.51, TelegramKind.CONFIRMED), (0.49, TelegramKind.FOREIGN)):
         one = session()
         for number in range(CONFIRMATIONS):
@@ -89,7 +89,7 @@ def test_telegrams_that_come_twice_as_fast_as_a_krc_sends_them_are_believed_and_
         assert last is kind
 
 
-def test_it_may_stand_for_as_long_as_it_likes_until_it_was_slow_enough():
+def test_a_session_is_confirmed_only_after_a_slow_enough_run():
     one = session()
     kinds = [one.judge(telegram(BEGIN + number * STEP), number * 0.3 * CYCLE_S).kind for number in range(6)]
     assert kinds == [TelegramKind.FOREIGN] * 5 + [TelegramKind.CONFIRMED]
@@ -115,7 +115,7 @@ def test_a_change_of_a_joint_by_exactly_the_bound_is_motion():
         assert one.judge(told, number * CYCLE_S).kind is TelegramKind.FOREIGN
 
 
-def test_telegrams_of_which_some_do_not_say_where_the_path_stands_do_not_agree():
+def test_telegrams_partly_without_programmed_position_do_not_agree():
     one = session()
     for number in range(2 * CONFIRMATIONS):
         said = telegram(BEGIN + number * STEP, programmed=FR.home if number % 2 else None)
@@ -143,7 +143,7 @@ def test_a_step_that_is_given_is_known_at_once_and_no_other_agrees():
     assert confirm(session(ipoc_step=4), step=4)[-1] is TelegramKind.CONFIRMED
 
 
-def test_a_telegram_that_comes_twice_while_nothing_is_believed_is_not_answered_and_does_not_count():
+def test_before_a_session_a_repeated_telegram_is_neither_answered_nor_counted():
     one = session()
     for number in range(CONFIRMATIONS - 1):
         told = telegram(BEGIN + number * STEP)
@@ -153,7 +153,7 @@ def test_a_telegram_that_comes_twice_while_nothing_is_believed_is_not_answered_a
 
 
 @pytest.mark.parametrize("behind", [0, 1, BEHIND])
-def test_a_telegram_that_was_overtaken_is_not_answered(believed, behind):
+def test_an_overtaken_telegram_is_not_answered(believed, behind):
     judged = believed.judge(telegram(LAST - behind * STEP), CYCLE_S)
     assert judged == (TelegramKind.REPEATED, Answer.NOTHING, "")
     assert believed.belief is Belief.BELIEVED
@@ -176,13 +176,13 @@ def test_the_ipoc_may_run_ahead_of_the_elapsed_time_by_the_jitter_and_no_further
         assert one.judge(telegram(LAST + ahead * STEP), time_s).kind is kind
 
 
-def test_telegrams_may_be_lost_for_less_than_it_takes_to_be_silent(believed):
+def test_a_session_survives_losses_shorter_than_the_silence(believed):
     lost = round(SILENCE_S / CYCLE_S)
     assert believed.judge(telegram(LAST + (lost + 1) * STEP), 9.0).kind is TelegramKind.FOREIGN
     assert believed.judge(telegram(LAST + lost * STEP), 9.0).kind is TelegramKind.NEXT
 
 
-def test_of_a_krc_that_is_silent_after_less_than_a_cycle_the_next_telegram_is_still_its_own():
+def test_with_a_timeout_below_a_cycle_the_next_telegram_still_belongs_to_the_session():
     one = session(silence_s=0.3 * CYCLE_S)
     confirm(one, begin_s=-(CONFIRMATIONS - 1) * CYCLE_S)
     assert one.judge(telegram(LAST + 2 * STEP), CYCLE_S).kind is TelegramKind.FOREIGN
@@ -209,7 +209,7 @@ def test_a_joint_that_cannot_have_moved_so_far_makes_a_telegram_garbled(cycles):
     assert judged.why.startswith(f"a1 cannot have moved so far in {cycles} cycles: ")
 
 
-def test_a_garbled_telegram_leaves_the_session_as_it_was(believed):
+def test_a_garbled_telegram_does_not_change_the_session(believed):
     far = FR.home + 1.0
     assert believed.judge(telegram(LAST + STEP, far), CYCLE_S).kind is TelegramKind.GARBLED
     assert (believed.belief, believed.last.ipoc) == (Belief.BELIEVED, LAST)
@@ -235,7 +235,7 @@ def test_another_programmed_position_is_garbled_unless_the_robot_stands_there(be
     )
 
 
-def test_a_programmed_position_that_is_missing_all_at_once_is_garbled(believed):
+def test_a_suddenly_missing_programmed_position_is_garbled(believed):
     assert believed.judge(telegram(LAST + STEP, programmed=None), CYCLE_S).kind is TelegramKind.GARBLED
 
 
@@ -248,7 +248,7 @@ def test_another_session_is_believed_when_the_last_has_been_silent_for_its_time_
             assert last is (kind if number == CONFIRMATIONS - 1 else TelegramKind.FOREIGN)
 
 
-def test_a_telegram_of_the_session_ends_the_count_of_those_that_are_not(believed):
+def test_a_telegram_of_the_session_ends_the_count_of_foreign_ones(believed):
     for number in range(CONFIRMATIONS - 1):
         believed.judge(telegram(5_000_000 + number * STEP), 0.1 + number * CYCLE_S)
     time_s = 0.1 + CONFIRMATIONS * CYCLE_S
@@ -267,7 +267,7 @@ def test_a_clock_set_back_for_good_is_another_session_once_the_last_is_silent(be
     assert believed.last.ipoc == begin + (CONFIRMATIONS - 1) * STEP
 
 
-def test_a_telegram_that_rsi_restarts_with_ends_the_count_and_puts_a_session_in_doubt(believed):
+def test_a_restart_telegram_ends_the_count_and_puts_the_session_in_doubt(believed):
     believed.interrupted()
     assert believed.belief is Belief.DOUBTED
     assert believed.judge(telegram(LAST + STEP, FR.home + 1.0), CYCLE_S)[:2] == (
@@ -281,7 +281,7 @@ def test_a_telegram_that_rsi_restarts_with_ends_the_count_and_puts_a_session_in_
     assert one.judge(telegram(LAST), 1.0).kind is TelegramKind.FOREIGN
 
 
-def test_the_ipoc_may_wrap_while_a_session_is_confirmed_and_while_it_goes_on():
+def test_the_ipoc_may_wrap_during_confirmation_and_within_a_session():
     one = session()
     begin = 2**32 - 2 * STEP
     assert confirm(one, begin=begin)[-1] is TelegramKind.CONFIRMED
@@ -324,7 +324,7 @@ def test_the_krc_may_come_from_another_port_after_it_was_silent():
     assert peer.address == OTHER
 
 
-def test_who_turns_out_to_be_the_krc_is_no_stranger():
+def test_a_sender_recognised_as_the_krc_is_no_longer_foreign():
     peer = Peer(None, PEER_SILENCE_S)
     peer.believed(KRC, 0.0)
     peer.judge(OTHER, 0.1)
@@ -335,7 +335,7 @@ def test_who_turns_out_to_be_the_krc_is_no_stranger():
 
 
 @pytest.mark.parametrize("learned", [False, True])
-def test_nobody_but_the_krcs_own_address_is_listened_to(learned):
+def test_only_the_address_of_the_krc_is_accepted(learned):
     peer = Peer("192.168.10.20", PEER_SILENCE_S)
     if learned:
         peer.believed(("192.168.10.20", 49_152), 0.0)

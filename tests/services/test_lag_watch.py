@@ -66,9 +66,7 @@ class Arm:
 @pytest.mark.parametrize("cell", [LAB, LAB_4MS])
 @pytest.mark.parametrize("damping", DAMPINGS)
 @pytest.mark.parametrize("mean_s", MEANS_S)
-def test_no_lag_is_taken_to_be_longer_than_it_is_in_motion_and_stops_and_with_losses(
-    mean_s, damping, cell, loss
-):
+def test_the_lag_is_never_overestimated_in_motion_at_stops_or_with_losses(mean_s, damping, cell, loss):
     lag = drives(mean_s, damping, cell.cycle_s)
     true_s = modelled_lag(lag, cell.cycle_s).settled_s
     arm = Arm(cell, lag, presumed_s=true_s, probed=lag)
@@ -81,7 +79,7 @@ def test_no_lag_is_taken_to_be_longer_than_it_is_in_motion_and_stops_and_with_lo
 @pytest.mark.parametrize("cell", [LAB, LAB_4MS])
 @pytest.mark.parametrize("damping", DAMPINGS)
 @pytest.mark.parametrize("mean_s", MEANS_S)
-def test_motion_to_and_fro_as_fast_as_drives_swing_is_not_taken_for_lag(mean_s, damping, cell):
+def test_oscillation_at_the_frequency_of_the_drives_is_not_taken_for_lag(mean_s, damping, cell):
     lag = drives(mean_s, damping, cell.cycle_s)
     told = modelled_lag(lag, cell.cycle_s)
     robot = cell.robots["fr"]
@@ -97,14 +95,14 @@ def test_motion_to_and_fro_as_fast_as_drives_swing_is_not_taken_for_lag(mean_s, 
 
 
 @pytest.mark.parametrize("cell", [LAB, LAB_4MS])
-def test_drives_that_lag_more_than_their_probe_showed_are_found_out_within_two_seconds(cell):
+def test_drives_lagging_more_than_their_probe_are_detected_within_two_seconds(cell):
     arm = Arm(cell, SLOW, presumed_s=0.072, probed=QUICK, seed=1)
     assert arm.run(1.0, moves=False).fault == ""  # nothing is known of a robot at rest
     assert arm.run(2.0).fault.startswith("axis a")
     assert ", the gate presumes 72: set gate.servo_lag_s to at least 0.1" in arm.watch.fault
 
 
-def test_where_the_probe_told_nothing_the_mean_delay_of_a_moving_axis_is_told():
+def test_without_a_probed_lag_the_mean_delay_of_a_moving_axis_is_reported():
     arm = Arm(LAB, SLOW, presumed_s=0.204)
     assert arm.watch.lag_s() == (None,) * 6
     known = [lag_s for lag_s in arm.run(4.0).lag_s() if lag_s is not None]

@@ -31,7 +31,7 @@ def _cycles_until_answered(rig: Rig) -> int:
     raise AssertionError("never answered")
 
 
-def test_a_stop_is_answered_once_and_not_before_every_robot_has_shown_that_it_is_held() -> None:
+def test_a_stop_is_answered_once_when_every_robot_shows_its_hold() -> None:
     rig = Rig()
     rig.request()
     rig.cycle()
@@ -45,7 +45,7 @@ def test_a_stop_is_answered_once_and_not_before_every_robot_has_shown_that_it_is
         assert not _replies(rig)
 
 
-def test_a_stop_is_not_slower_for_waiting_with_its_answer() -> None:
+def test_waiting_for_confirmation_does_not_delay_a_stop() -> None:
     rig = Rig()
     rig.command(kind="stop")
     rig.cycle()  # the gate's supervision on this state orders it
@@ -54,7 +54,7 @@ def test_a_stop_is_not_slower_for_waiting_with_its_answer() -> None:
     assert rig.state.phase is Phase.HELD
 
 
-def test_of_robots_that_are_held_already_a_stop_is_confirmed_at_once() -> None:
+def test_a_stop_of_held_robots_is_confirmed_at_once() -> None:
     rig = Rig()
     rig.command(kind="stop")
     _cycles_until_answered(rig)
@@ -63,7 +63,7 @@ def test_of_robots_that_are_held_already_a_stop_is_confirmed_at_once() -> None:
     assert not _replies(rig)
 
 
-def test_a_stop_is_not_confirmed_by_the_hold_that_a_reset_on_its_way_will_end() -> None:
+def test_a_hold_about_to_be_reset_does_not_confirm_a_stop() -> None:
     rig = Rig()
     rig.command(kind="stop")
     _cycles_until_answered(rig)
@@ -139,7 +139,7 @@ def _reset(core: HliCore) -> Command:
     return _sent(core.requests.on_reset(ResetRequest(robot="fr"), _Client(), 50.0))
 
 
-def test_the_first_reset_is_for_the_gate_that_is_there() -> None:
+def test_the_first_reset_names_the_present_gate() -> None:
     by_sign_of_life, by_state = _hli(), _hli(epoch=7)
     _alive(by_sign_of_life, epoch=7, newest_id=5000)
     assert (_reset(by_sign_of_life).epoch, _reset(by_state).epoch) == (7, 7)

@@ -42,14 +42,14 @@ def test_a_robot_s_limits_hold_for_one_cycle_however_long_it_is():
         assert (limits.joint_names, limits.cycle_s) == (FR.joint_names, cycle_s)
 
 
-def test_a_share_is_the_way_to_the_bound_on_the_side_that_the_joint_goes_to():
+def test_a_share_is_the_distance_to_the_bound_in_the_direction_of_motion():
     start, end = np.zeros(4), np.array([4.0, -4.0, 0.0, 1.0])
     shares = shares_within(start, end, np.full(4, -1.0), np.full(4, 2.0))
     np.testing.assert_array_equal(shares, [0.5, 0.25, 1.0, 2.0])
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_slow_motion_is_a_share_of_each_joint_s_speed_and_none_is_left_to_a_faster_brake(sign):
+def test_slow_motion_is_a_share_of_each_speed_limit_and_zero_during_a_faster_brake(sign):
     slow = TWO_JOINTS.max_dq[0] / 4
     assert TWO_JOINTS.slow_scale(both(0, 0), sign * both(2 * slow, 4 * slow), 0.25) == 0.25
     assert TWO_JOINTS.slow_scale(both(0, 0), sign * both(slow, 0), 0.25) == 1.0
@@ -59,18 +59,18 @@ def test_slow_motion_is_a_share_of_each_joint_s_speed_and_none_is_left_to_a_fast
     assert TWO_JOINTS.slow_scale(sign * both(0, slow), both(0, 0), 0.25) == 1.0
 
 
-def test_all_joints_go_together_as_far_as_the_first_that_is_bound_and_never_beyond_the_end():
+def test_the_common_share_is_the_least_of_all_joints_and_at_most_one():
     low, high = np.full(2, -1.0), np.full(2, 2.0)
     assert share_within(np.zeros(2), both(4, 8), low, high) == 0.25
     assert share_within(np.zeros(2), both(0.5, 0.5), low, high) == 1.0
     assert share_within(both(2 + 1e-12, 0), both(4, 0), low, high) == 0.0
 
 
-def test_a_request_within_all_limits_is_taken_whole():
+def test_a_request_within_all_limits_is_admitted_in_full():
     assert LIMITS.dynamic_scale(NONE, 0.9 * LIMITS.max_dv, NONE) == (1.0, [])
 
 
-def test_a_request_that_meets_its_bounds_to_the_bit_is_taken_whole():
+def test_a_request_exactly_at_its_bounds_is_admitted_in_full():
     last = both(15.5, -15.5) * QUARTER
     assert TWO_JOINTS.dynamic_scale(0.9 * last, both(16, -16) * QUARTER, last) == (1.0, [])
     assert TWO_JOINTS.dynamic_scale(NONE[:2], both(QUARTER, 0), NONE[:2]) == (1.0, [])
@@ -86,7 +86,7 @@ def test_from_rest_a_request_beyond_both_bounds_is_bound_by_acceleration(sign):
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_in_motion_an_acceleration_is_told_as_the_change_from_the_last_increment(sign):
+def test_in_motion_acceleration_is_reported_as_the_change_from_the_last_increment(sign):
     last, brake, request = (
         sign * both(8, 0) * QUARTER,
         sign * both(7, 0) * QUARTER,
@@ -117,7 +117,7 @@ def test_a_turn_at_full_speed_is_bound_by_acceleration(sign):
     assert reasons[0].code is ReasonCode.ACCELERATION_LIMIT
 
 
-def test_a_brake_that_rounding_put_beyond_its_bound_leaves_no_room():
+def test_a_brake_rounded_beyond_its_bound_leaves_no_share():
     last = both(8, 0) * QUARTER
     brake = last - both(1 + 1e-12, 0) * QUARTER
     scale, _ = TWO_JOINTS.dynamic_scale(brake, -last, last)
@@ -179,7 +179,7 @@ def test_a_position_names_its_joint_the_end_of_the_brake_and_the_limit():
     assert reasons[0].value > reasons[0].bound == pytest.approx(FR.upper[4])
 
 
-def test_a_joint_outside_its_limit_may_come_back_and_may_not_go_further_out():
+def test_a_joint_beyond_its_limit_may_return_but_not_go_further():
     q_cmd = FR.home.copy()
     q_cmd[0] = FR.upper[0] + 0.1
     inward = np.array([-LIMITS.max_dv[0], 0, 0, 0, 0, 0])

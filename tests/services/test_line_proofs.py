@@ -50,7 +50,7 @@ async def greet(client: JsonClient, **fields: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(("token", "may_take"), [(OPERATOR, True), (CONTROLLER, False)])
-async def test_who_answers_the_challenge_has_the_role_of_the_token(token: str, may_take: bool) -> None:
+async def test_a_proven_challenge_gives_the_role_of_the_token(token: str, may_take: bool) -> None:
     async with serving() as (_, port), json_client(port, name=None) as client:
         challenge = await challenge_of(client)
         assert (await greet(client, challenge=challenge, proof=line_proof(token, challenge)))[
@@ -64,7 +64,7 @@ async def test_who_answers_the_challenge_has_the_role_of_the_token(token: str, m
             assert taken["granted"] is may_take
 
 
-async def test_a_proof_is_good_once_and_for_its_challenge_alone() -> None:
+async def test_a_proof_is_valid_once_and_only_for_its_challenge() -> None:
     """The attack: whoever listened to one hello says it again, or says its proof for another challenge."""
     async with serving() as (hli, port), json_client(port, name=None) as client:
         challenge, other = await challenge_of(client), await challenge_of(client)
@@ -84,14 +84,14 @@ async def test_a_proof_is_good_once_and_for_its_challenge_alone() -> None:
         assert counters["tokens_wrong"] + counters.get("tokens_not_compared", 0) == 3
 
 
-async def test_a_proof_without_a_challenge_or_of_a_wrong_token_is_none() -> None:
+async def test_a_proof_without_challenge_or_with_a_wrong_token_is_invalid() -> None:
     async with serving() as (_, port):
         for fields in ({"proof": "0" * 64}, {"proof": line_proof(OPERATOR, ""), "token": OPERATOR}):
             async with json_client(port, name=None) as stranger:
                 assert (await greet(stranger, **fields))["type"] == "error"
 
 
-async def test_without_configured_tokens_a_client_with_one_is_served_as_others() -> None:
+async def test_without_configured_tokens_a_client_with_a_token_is_served_like_others() -> None:
     async with serving(ClientRoles()) as (_, port), json_client(port, name=None) as client:
         challenge = await challenge_of(client)
         assert (await greet(client, challenge=challenge, proof=line_proof("any", challenge)))[
@@ -105,7 +105,7 @@ async def test_without_configured_tokens_a_client_with_one_is_served_as_others()
 
 @off_loopback
 @pytest.mark.parametrize("with_a_proof", [False, True])
-async def test_a_token_in_the_clear_gives_no_role_over_a_network(with_a_proof: bool) -> None:
+async def test_an_unencrypted_token_gives_no_role_over_a_network(with_a_proof: bool) -> None:
     """The attack: who has read a token off the wire, which any program did that sent one, sends it again."""
     fields = {"token": OPERATOR}
     async with serving(address="0.0.0.0") as (hli, port):
@@ -138,7 +138,7 @@ async def test_over_a_network_clients_with_and_without_a_token_are_served_as_on_
 
 
 @off_loopback
-async def test_a_token_is_taken_as_it_is_on_the_loopback_and_under_tls(tmp_path: Path) -> None:
+async def test_a_plain_token_is_accepted_on_the_loopback_and_over_tls(tmp_path: Path) -> None:
     files = certificate(tmp_path)
     trusted = ssl.create_default_context(cafile=files["DELTAQ_LINES_CERTIFICATE_FILE"])
     trusted.check_hostname = False  # the certificate is for the loopback

@@ -30,7 +30,7 @@ def flooded(turns: LineTurns[str], floods: list[str], holder: str | None, second
     return served
 
 
-def test_a_holder_is_served_at_once_however_many_flood() -> None:
+def test_a_lease_holder_is_served_at_once_during_a_flood() -> None:
     floods = [f"flood-{k}" for k in range(63)]
     served = flooded(LineTurns(), floods, "holder", 2.0)
     assert served["holder"] == 500
@@ -49,7 +49,7 @@ def test_a_connection_has_a_rate_and_its_lines_wait() -> None:
     assert holders  # what is beyond is not lost
 
 
-def test_who_has_left_is_not_served() -> None:
+def test_a_closed_connection_is_not_served() -> None:
     turns = LineTurns[str]()
     turns.wait("gone", is_holder=True)
     turns.leave("gone")
@@ -57,7 +57,7 @@ def test_who_has_left_is_not_served() -> None:
     assert not turns
 
 
-def test_who_gets_a_lease_is_served_as_a_holder_and_once() -> None:
+def test_a_new_lease_holder_is_served_with_priority_and_once() -> None:
     turns = LineTurns[str]()
     turns.wait("other", is_holder=False)
     turns.wait("me", is_holder=False)
@@ -65,7 +65,7 @@ def test_who_gets_a_lease_is_served_as_a_holder_and_once() -> None:
     assert [turns.next(0.0) for _ in range(3)] == ["me", "other", None]
 
 
-def test_a_connection_beyond_the_limit_may_stop_and_silent_ones_lock_no_other_out() -> None:
+def test_a_connection_beyond_the_limit_may_stop_and_silent_ones_exclude_none() -> None:
     places = Places[int]()
     given = [places.take(k, "127.0.0.1") for k in range(MAX_CONNECTIONS + 1000)]
     assert given == [True] * MAX_CONNECTIONS + [False] * 1000
@@ -77,7 +77,7 @@ def test_a_connection_beyond_the_limit_may_stop_and_silent_ones_lock_no_other_ou
     assert places.take(-1, "127.0.0.1")
 
 
-def test_one_peer_elsewhere_does_not_take_all_places() -> None:
+def test_one_remote_address_cannot_take_all_places() -> None:
     places = Places[int]()
     given = [places.take(k, "192.0.2.1") for k in range(MAX_CONNECTIONS)]
     assert given.count(True) == MAX_OF_A_PEER

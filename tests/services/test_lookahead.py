@@ -70,13 +70,13 @@ def at(cycle: int, sequence: int = 2) -> Admission:
 
 
 @pytest.mark.parametrize(("ahead", "kept"), [(-1, False), (0, True), (1, True), (2, True), (3, False)])
-def test_an_admission_is_kept_that_is_due_in_one_of_the_next_cycles(ahead: int, kept: bool) -> None:
+def test_an_admission_for_one_of_the_next_cycles_is_kept(ahead: int, kept: bool) -> None:
     due = AdmissionsDue(lookahead_cycles=3)
     assert due.put(at(10 + ahead), 10) is (None if kept else Refusal.LATE)
     assert due.forget() == int(kept)
 
 
-def test_an_admission_is_handed_out_in_its_cycle_and_once() -> None:
+def test_an_admission_is_used_in_its_cycle_and_once() -> None:
     due = AdmissionsDue(lookahead_cycles=3)
     for cycle in (12, 10, 11):
         due.put(at(cycle), 10)
@@ -86,7 +86,7 @@ def test_an_admission_is_handed_out_in_its_cycle_and_once() -> None:
     assert (due.take(11), due.forget()) == (None, 0)
 
 
-def test_an_admission_that_may_be_late_is_due_at_once_and_so_it_is_to_an_heir(
+def test_a_possibly_late_admission_is_due_at_once_also_after_a_restore(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(topics, "ADMISSION", replace(topics.ADMISSION, max_age_cycles=1))
@@ -106,7 +106,7 @@ def test_of_two_admissions_for_one_cycle_the_newer_counts() -> None:
 # --- what the gate reckons with -----------------------------------------------------------------------------
 
 
-def test_there_is_a_course_for_every_place_where_the_chain_may_break() -> None:
+def test_there_is_a_candidate_trajectory_for_every_break_of_the_chain() -> None:
     state = server_state("fr", 20, sequence=5, q_cmd=ZEROS, q=ZEROS, dq=DQ, plan=BRAKING)
     chain = chain_of(state, 20, 22)  # nothing is admitted for the cycle after 21
     found = courses(SetpointMotion.of(state), 20, chain)
@@ -117,14 +117,14 @@ def test_there_is_a_course_for_every_place_where_the_chain_may_break() -> None:
     np.testing.assert_allclose(sent[2], STEP * np.cumsum([1, 0.75, 1, 0.75, 0.5, 0.25]))
 
 
-def test_the_gate_counts_on_the_whole_chain() -> None:
+def test_the_gate_continues_from_the_end_of_the_chain() -> None:
     state = server_state("fr", 20, sequence=5, q_cmd=ZEROS, q=ZEROS, dq=DQ, plan=BRAKING)
     found = motions(SetpointMotion.of(state), 20, chain_of(state, 20, 22), cycles=3)
     assert [motion.sequence for motion in found] == [5, 6, 6, 7]
     np.testing.assert_allclose([motion.dq[0] / STEP for motion in found], [1, 1, 0.75, 1])
 
 
-def test_where_nothing_is_admitted_for_some_cycles_the_gate_counts_on_the_brake() -> None:
+def test_after_cycles_without_admission_the_gate_continues_from_the_brake() -> None:
     state = server_state("fr", 20, sequence=5, q_cmd=ZEROS, q=ZEROS, dq=DQ, plan=BRAKING)
     found = motions(SetpointMotion.of(state), 20, chain_of(state, 20), cycles=4)
     np.testing.assert_allclose([motion.dq[0] / STEP for motion in found], [1, 1, 0.75, 0.5, 0.25])
@@ -139,7 +139,7 @@ def test_an_admission_after_a_future_brake_is_due(cycles: tuple[int, ...]) -> No
     assert still_due(another, chain) == (chain if cycles[0] == 20 else ())  # it brakes otherwise
 
 
-def test_behind_an_admission_that_was_not_taken_nothing_is_due() -> None:
+def test_after_an_untaken_admission_no_later_one_is_due() -> None:
     before = server_state("fr", 20, sequence=5, q_cmd=ZEROS, q=ZEROS)
     chain = chain_of(before, 20, 21, 22)
     taken = SetpointMotion.of(before).admitted(chain[0])
@@ -200,7 +200,7 @@ class Server:
             assert self.core.take(admission, 0.0) == []
 
 
-def test_each_admission_is_taken_in_its_own_cycle_whenever_it_came() -> None:
+def test_each_admission_is_taken_in_its_own_cycle() -> None:
     server = Server(3)
     chain = chain_of(server.state, *(server.state.cycle + later for later in range(3)))
     server.give(*reversed(chain))
@@ -212,7 +212,7 @@ def test_each_admission_is_taken_in_its_own_cycle_whenever_it_came() -> None:
 
 
 @pytest.mark.parametrize("lost", [0, 1])
-def test_where_one_is_lost_it_brakes_and_takes_none_of_those_behind(lost: int) -> None:
+def test_after_a_lost_admission_it_brakes_and_takes_no_later_one_of_the_chain(lost: int) -> None:
     server = Server(3)
     before = server.state.sequence
     chain = chain_of(server.state, *(server.state.cycle + later for later in range(3)))
@@ -224,7 +224,7 @@ def test_where_one_is_lost_it_brakes_and_takes_none_of_those_behind(lost: int) -
     assert not any(server.state.dq)
 
 
-def test_nothing_that_came_before_a_hold_is_taken_after_it() -> None:
+def test_admissions_from_before_a_hold_are_not_taken_after_it() -> None:
     server = Server(3)
     server.stop = "operator_stop"
     chain = chain_of(server.state, *(server.state.cycle + later for later in range(3)))
@@ -239,7 +239,7 @@ def test_nothing_that_came_before_a_hold_is_taken_after_it() -> None:
     assert server.core.counters["admission_while_not_ready"] == 3
 
 
-def test_no_decision_from_before_a_reset_follows_it() -> None:
+def test_no_decision_from_before_a_reset_takes_effect_after_it() -> None:
     server = Server(2)
     late = following(
         SetpointMotion.of(server.state), server.state.cycle, 1, follows_resets=server.state.resets + 1
@@ -277,7 +277,7 @@ def driven(lab: LoadedCell, cycles: int, loss: float, seed: int) -> tuple[Virtua
 
 
 @pytest.mark.long
-def test_on_a_quiet_wire_every_cycle_has_an_admission_and_clients_know_where_it_leads(
+def test_on_a_quiet_wire_every_cycle_has_an_admission_and_clients_know_its_setpoint(
     lab: LoadedCell,
 ) -> None:
     ahead = lab.model.description.gate.lookahead_cycles
@@ -293,9 +293,7 @@ def test_on_a_quiet_wire_every_cycle_has_an_admission_and_clients_know_where_it_
 @pytest.mark.by_day(4)
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [11, 12, 13])
-def test_where_admissions_are_lost_nothing_is_taken_that_the_gate_did_not_reckon_with(
-    lab: LoadedCell, seed: int
-) -> None:
+def test_with_lost_admissions_the_robot_stays_on_a_candidate_trajectory(lab: LoadedCell, seed: int) -> None:
     cell, seen = driven(lab, 150, loss=0.2, seed=seed)
     server, gate = cell.arms["fr"].server, cell.sim
     assert gate.counters["impossible_states_fr"] == 0
@@ -331,13 +329,13 @@ def test_a_pending_admission_is_reported_as_the_brake() -> None:
     assert ahead.q_ahead(state)[0] == pytest.approx(1.5 * STEP)
 
 
-def test_a_robot_at_rest_waits_for_as_much_in_flight_as_may_be() -> None:
+def test_a_robot_at_rest_waits_until_the_lookahead_is_filled() -> None:
     at_rest = Plan(dq=ZEROS, brake_cycles=1, step=1)
     state = server_state("fr", 20, q_cmd=ZEROS, q=ZEROS, plan=at_rest)
     assert AdmittedAhead(3, 0.012).setpoint_cycle(state) == 23
 
 
-def test_where_an_admission_was_not_taken_those_behind_it_are_told_no_more() -> None:
+def test_after_an_untaken_admission_its_successors_are_not_published() -> None:
     for dq, told in ((DQ, 2 * STEP), (ZEROS, 0.0)):
         ahead = AdmittedAhead(3, 0.012)
         before = server_state("fr", 20, q_cmd=ZEROS, q=ZEROS)
@@ -352,7 +350,7 @@ def braking_at(cycle: int) -> Any:
     return server_state("fr", cycle, q_cmd=ZEROS, q=ZEROS, dq=DQ, plan=BRAKING)
 
 
-def test_after_a_chain_that_broke_the_next_increment_has_all_the_time_there_is() -> None:
+def test_after_a_broken_chain_the_next_increment_gets_the_latest_setpoint() -> None:
     ahead = AdmittedAhead(3, 0.012)
     ahead.decided(decided(21), braking_at(20))
     ahead.cycle_passed(server_state("fr", 21, q_cmd=ZEROS, q=ZEROS, dq=ZEROS, plan=BRAKING))

@@ -113,7 +113,7 @@ async def test_metrics_show_the_status_and_the_delays_of_verdicts() -> None:
         assert value(read, "deltaq_cell_info", cell=peer.cell.cell, identity=cell.description.identity) == 1
 
 
-async def test_refusals_are_told_by_their_reason() -> None:
+async def test_refusals_are_counted_by_reason() -> None:
     async with running() as (peer, reader), json_client(peer.cell.tcp_port) as rude:
         cycle = await peer.turn()
         rude.send(type="increment", robot="fr", seq=1, cycle=cycle, dq=[0.0] * 6)
@@ -135,7 +135,7 @@ async def test_refused_attempts_are_counted_by_action_and_reason() -> None:
         }
 
 
-async def test_stale_messages_of_the_guarded_realm_are_told_by_the_service_that_refused_them() -> None:
+async def test_stale_messages_of_the_guarded_realm_are_counted_by_refusing_service() -> None:
     async with running() as (peer, reader):
         key = topics.SERVER_STATE.key(peer.cell.cell, robot="fr")
         once = peer._envelopes[peer._servers["fr"]].close(key, pack(server_state("fr")))
@@ -147,7 +147,7 @@ async def test_stale_messages_of_the_guarded_realm_are_told_by_the_service_that_
         await reader.until(repeat_and_look)
 
 
-async def test_cycles_of_the_brake_are_told_by_their_cause() -> None:
+async def test_braked_cycles_are_counted_by_cause() -> None:
     async with running() as (peer, reader):
         counted = {"braked_cycles": 7, "braked_cycles_no_admission": 5, "braked_cycles_operator_stop": 2}
 
@@ -189,7 +189,7 @@ async def test_no_label_contains_a_clients_name() -> None:
         assert not any("stranger" in text for _, labels in read for _, text in labels)
 
 
-async def test_an_hli_that_is_gone_is_told_and_found_again() -> None:
+async def test_a_lost_hli_is_reported_and_found_again() -> None:
     cell = small_cell()
     async with exported(cell.hli) as reader:
         read = await reader.read()
@@ -202,7 +202,7 @@ async def test_an_hli_that_is_gone_is_told_and_found_again() -> None:
             await reader.until(lambda read: not is_up(read))
 
 
-async def test_a_port_that_is_taken_is_an_error() -> None:
+async def test_a_used_port_is_an_error() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listening, pytest.raises(OSError, match="in use"):
         await Exporter("tcp/127.0.0.1:1").run("127.0.0.1", listening.getsockname()[1])
 
@@ -218,7 +218,7 @@ def test_a_verdict_on_an_unknown_cycle_has_no_delay() -> None:
     assert delays.verdict(6, 2.0) is None
 
 
-async def test_the_dashboard_asks_for_samples_that_the_exporter_has() -> None:
+async def test_every_sample_of_the_dashboard_exists_in_the_exporter() -> None:
     board = json.loads(DASHBOARD.read_text(encoding="utf-8"))
     asked = {
         name

@@ -114,7 +114,7 @@ def test_an_absolute_krc_is_recognised_in_one_trial_with_any_lag_and_some_noise(
 @pytest.mark.long
 @settings(deadline=None, max_examples=60)
 @given(lag=LAGS, noise=st.floats(0, 0.02), seed=st.integers(0, 2**31), cell=st.sampled_from([LAB, LAB_4MS]))
-def test_a_relative_krc_is_found_out_moved_by_no_more_than_the_pulse_and_put_back(lag, noise, seed, cell):
+def test_a_relative_krc_is_detected_within_a_pulse_and_moved_back(lag, noise, seed, cell):
     arm = Arm("relative", *lag, noise, seed, cell)
     probe = arm.trial(0)
     while probe.mode is Mode.UNKNOWN:
@@ -141,9 +141,7 @@ def test_a_relative_krc_is_found_out_moved_by_no_more_than_the_pulse_and_put_bac
     seed=st.integers(0, 2**31),
     losses=st.lists(st.sampled_from([""] * 6 + ["telegram", "reply", "twice"]), min_size=60, max_size=160),
 )
-def test_with_any_losses_no_mode_is_taken_for_the_other_and_no_joint_moves_far(
-    mode, moves, lag, noise, seed, losses
-):
+def test_losses_never_confuse_the_modes_or_move_a_joint_far(mode, moves, lag, noise, seed, losses):
     arm = Arm(mode, *lag, noise, seed, moves=moves)
     missed = False
     for loss in losses:
@@ -161,7 +159,7 @@ def test_with_any_losses_no_mode_is_taken_for_the_other_and_no_joint_moves_far(
 
 
 @pytest.mark.parametrize("cell", [LAB, LAB_4MS])
-def test_a_trial_sums_up_to_nothing_and_accelerates_no_joint_beyond_its_limit(cell):
+def test_a_trial_has_a_zero_sum_and_keeps_acceleration_limits(cell):
     arm = Arm(cell=cell)
     arm.trial(180)
     sent = np.array(arm.sent)
@@ -188,7 +186,7 @@ def test_a_trial_adds_a_pulse_and_its_negative(cell):
     np.testing.assert_array_equal(moved, [*pulse, *-pulse])
 
 
-def test_a_robot_that_does_not_move_is_probed_again_and_again_until_it_does():
+def test_a_robot_without_response_is_probed_until_it_moves():
     arm = Arm(moves=False)
     probe = arm.trial(TRIAL - 1)
     assert (probe.unseen, probe.bars, probe.detail) == ((), False, "probes the mode of corrections")
@@ -205,7 +203,7 @@ def test_a_robot_that_does_not_move_is_probed_again_and_again_until_it_does():
     assert not probe.bars
 
 
-def test_one_joint_that_does_not_follow_is_named_and_bars_the_robot():
+def test_a_joint_that_does_not_follow_is_named_and_blocks_the_robot():
     arm = Arm()
     arm.moves = np.array([1.0] * 8 + [0.0])
     probe = arm.trial()
@@ -214,7 +212,7 @@ def test_one_joint_that_does_not_follow_is_named_and_bars_the_robot():
 
 
 @pytest.mark.parametrize("factor", [-1.0, 0.3, 4.0, 57.3])
-def test_a_joint_that_moves_another_way_or_amount_than_it_was_sent_is_not_absolute(factor):
+def test_a_joint_with_another_direction_or_amount_of_motion_is_not_absolute(factor):
     arm = Arm()
     arm.moves = np.array([1.0] * 8 + [factor])
     assert not arm.trial(3 * TRIAL).known
@@ -232,7 +230,7 @@ def test_one_relative_joint_is_enough_to_refuse():
 
 @pytest.mark.parametrize("cycle", [5, 10, HALF + 5])
 @pytest.mark.parametrize("sag", [0.8, -0.8])
-def test_a_robot_that_sags_once_is_taken_for_neither_and_probed_again(cycle, sag):
+def test_a_sagging_robot_has_an_unknown_mode_and_is_probed_again(cycle, sag):
     arm = Arm()
     arm.trial(cycle)
     arm.sag = sag * SIZE
@@ -242,7 +240,7 @@ def test_a_robot_that_sags_once_is_taken_for_neither_and_probed_again(cycle, sag
     assert arm.trial().known
 
 
-def test_a_robot_that_moves_on_though_nothing_is_sent_is_adrift_but_not_for_one_telegram():
+def test_a_robot_moving_without_corrections_for_several_telegrams_is_adrift():
     arm = Arm()
     for cycles in (1, 2):
         arm.trial(1)
@@ -261,7 +259,7 @@ def test_a_robot_that_moves_on_though_nothing_is_sent_is_adrift_but_not_for_one_
     assert arm.probe.detail.startswith("the robot moves although its correction is constant")
 
 
-def test_of_a_pulse_in_which_the_robot_is_found_adrift_nothing_is_added_any_more():
+def test_a_pulse_is_aborted_when_the_robot_is_adrift():
     arm = Arm()
     arm.trial(2)
     arm.sag = 1.1 * ADRIFT * SIZE
@@ -272,7 +270,7 @@ def test_of_a_pulse_in_which_the_robot_is_found_adrift_nothing_is_added_any_more
     assert not arm.sent[-1].any()
 
 
-def test_a_robot_that_is_elsewhere_from_the_first_telegram_on_is_adrift_after_three():
+def test_a_robot_displaced_from_the_first_telegram_on_is_adrift_after_three():
     arm = Arm()
     arm.sag = 1.1 * ADRIFT * SIZE
     arm.q = arm.start + arm.sag
@@ -281,7 +279,7 @@ def test_a_robot_that_is_elsewhere_from_the_first_telegram_on_is_adrift_after_th
 
 
 @pytest.mark.parametrize("at", [*range(10), 20, *range(HALF, HALF + 9), TRIAL - 1])
-def test_told_to_end_it_undoes_a_pulse_and_begins_none(at):
+def test_on_a_signal_a_pulse_is_undone_and_none_begun(at):
     arm = Arm("relative")
     probe = arm.trial(at)
     probe.end()
@@ -393,7 +391,7 @@ def test_drives_that_lag_more_than_the_gate_presumes_are_refused_with_axis_and_f
     assert not np.any(probe.added_to(np.zeros(9)))
 
 
-def test_drives_that_are_not_done_within_a_window_are_not_driven():
+def test_drives_that_do_not_settle_within_a_window_are_not_driven():
     probe = Drives(ServoLag(dead_time_s=0.07, natural_frequency_rad_s=20.0, damping=0.5)).trial()
     assert (probe.mode, probe.unseen) == (Mode.UNKNOWN, GR.joint_names)
     assert probe.detail.endswith("do the drives lag less than 300 ms?")
@@ -407,7 +405,7 @@ def test_a_lag_hidden_by_decimals_or_noise_is_unknown_and_holds_no_robot(decimal
     assert probe.known
 
 
-def test_a_telegram_lost_within_a_response_hardly_changes_the_lag_that_is_told():
+def test_a_telegram_lost_within_a_response_hardly_changes_the_measured_lag():
     whole, gap = Drives(SLOW), Drives(SLOW)
     whole.trial()
     for cycle in range(TRIAL):
@@ -440,7 +438,7 @@ def test_a_response_is_seen_as_early_and_as_late_as_a_window_allows(late):
 
 
 @pytest.mark.parametrize("share", [0.5, 2.0])
-def test_a_response_of_half_a_pulse_or_of_twice_as_much_tells_nothing_and_one_within_does(share):
+def test_only_responses_between_half_and_twice_a_pulse_count(share):
     within = 0.51 if share < 1 else 1.99
     for amount, mode in ((share, Mode.UNKNOWN), (within, Mode.ABSOLUTE)):
         assert joint_modes(course((FIRST, amount), (SECOND, -amount)), SHAPE, WINDOW) == [mode]
@@ -450,7 +448,7 @@ def test_a_response_of_half_a_pulse_or_of_twice_as_much_tells_nothing_and_one_wi
 
 @pytest.mark.parametrize("within", [FIRST, SECOND])
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_joint_that_stays_a_quarter_of_a_pulse_away_is_not_back(within, sign):
+def test_a_joint_a_quarter_of_a_pulse_away_has_not_returned(within, sign):
     for away, mode in ((0.25, Mode.UNKNOWN), (0.24, Mode.ABSOLUTE)):
         samples = course((FIRST, 1.0), (SECOND, -1.0))
         samples[within + WINDOW // 2 :] += sign * away  # from the middle of a window, so that it has no area
@@ -463,12 +461,12 @@ def test_motion_before_a_pulse_can_arrive_is_no_response(early):
 
 
 @pytest.mark.parametrize("drift", [0.2, -0.2])
-def test_a_slow_drift_is_no_response_and_hides_none(drift):
+def test_a_slow_drift_neither_counts_as_a_response_nor_hides_one(drift):
     assert joint_modes(course((FIRST, 1.0), (SECOND, -1.0), drift=drift), SHAPE, WINDOW) == [Mode.ABSOLUTE]
     assert joint_modes(course(drift=drift), SHAPE, WINDOW) == [Mode.UNKNOWN]
 
 
-def test_a_robot_that_is_no_kuka_has_no_mode_to_be_found_out():
+def test_a_kinematic_robot_needs_no_mode_probe():
     dawm = DAWM.robots["dawm"]
     mode = mode_of_session(dawm, 0.012, 1, dawm.home)
     assert isinstance(mode, KinematicMode)
@@ -502,7 +500,7 @@ def test_corrections_of_a_continuing_session_are_not_searched_for():
     np.testing.assert_array_equal(pulses.undone(place(1.5)), place(1))
 
 
-def test_every_joint_has_to_be_where_it_was_sent_but_for_rounding():
+def test_every_joint_must_be_at_its_setpoint_within_rounding():
     pulses = cut(PulsesCutShort(), 0)
     np.testing.assert_array_equal(pulses.undone(place(0.5) + 1e-12), place(0))
     for off in ([1e-6, 0.0], [0.0, -1e-6]):
@@ -511,12 +509,12 @@ def test_every_joint_has_to_be_where_it_was_sent_but_for_rounding():
     np.testing.assert_array_equal(exactly.undone(place(1e-9)), place(0))
 
 
-def test_of_two_sessions_that_were_sent_to_one_place_the_later_counts():
+def test_of_two_sessions_at_one_place_the_later_counts():
     pulses = cut(cut(PulsesCutShort(), 0, pulse=1.0), 0.25, pulse=0.75)
     np.testing.assert_array_equal(pulses.undone(place(1)), place(0.25))
 
 
-def test_as_many_sessions_are_remembered_as_a_driver_does_and_another_goes_on_with_them():
+def test_a_bounded_number_of_sessions_is_remembered_and_restored():
     pulses = PulsesCutShort()
     for number in range(SESSIONS + 1):
         cut(pulses, number)

@@ -90,7 +90,7 @@ async def bench() -> AsyncIterator[Bench]:
         client.close()
 
 
-async def test_who_connects_is_taken_up_with_all_that_it_said_before(bench: Bench) -> None:
+async def test_a_connection_is_accepted_with_all_earlier_data(bench: Bench) -> None:
     await bench.taken(bench.connected(HELLO + STOP))
     async with asyncio.timeout(300):
         while bench.read != HELLO + STOP:
@@ -98,12 +98,12 @@ async def test_who_connects_is_taken_up_with_all_that_it_said_before(bench: Benc
     assert bench.begun_for_stops == 1
 
 
-async def test_who_has_brought_no_stop_is_not_taken_up_as_if(bench: Bench) -> None:
+async def test_a_connection_without_a_stop_gets_no_priority(bench: Bench) -> None:
     await bench.taken(bench.connected(HELLO))
     assert bench.begun_for_stops == 0
 
 
-async def test_who_says_nothing_is_taken_up_too(bench: Bench) -> None:
+async def test_a_silent_connection_is_accepted_too(bench: Bench) -> None:
     await bench.taken(bench.connected())
 
 
@@ -118,7 +118,7 @@ async def test_a_stop_is_accepted_before_all_waiting_connections(bench: Bench) -
 
 
 @pytest.mark.usefixtures("none_without_a_stop")
-async def test_a_stop_that_is_said_after_a_while_is_taken_up(bench: Bench) -> None:
+async def test_a_later_stop_is_accepted(bench: Bench) -> None:
     client = bench.connected()
     await bench.let_in(1)
     for _ in range(10):
@@ -137,7 +137,7 @@ async def test_a_lookalike_of_a_stop_is_not_accepted_before_others(bench: Bench)
     assert not bench.ports
 
 
-async def test_where_the_silent_may_bring_a_stop_yet_they_are_waited_for(bench: Bench) -> None:
+async def test_silent_connections_that_may_still_stop_are_awaited(bench: Bench) -> None:
     bench.newcomers._silent_s = 300.0
     silent = bench.connected()
     await bench.taken(bench.connected(HELLO))
@@ -159,7 +159,7 @@ async def test_connections_that_have_sent_data_are_accepted_before_silent_ones(
 
 
 @pytest.mark.usefixtures("none_without_a_stop")
-async def test_of_too_many_the_oldest_gives_way(bench: Bench) -> None:
+async def test_of_too_many_connections_the_oldest_is_closed(bench: Bench) -> None:
     first = bench.connected()
     for _ in range(MAX_WAITING):
         bench.connected()
@@ -170,7 +170,7 @@ async def test_of_too_many_the_oldest_gives_way(bench: Bench) -> None:
 
 
 @pytest.mark.usefixtures("none_without_a_stop")
-async def test_who_leaves_again_leaves_nothing_behind(bench: Bench) -> None:
+async def test_a_disconnected_newcomer_leaves_no_trace(bench: Bench) -> None:
     for _ in range(20):
         bench.connected().close()
     async with asyncio.timeout(300):
@@ -184,7 +184,7 @@ async def test_who_leaves_again_leaves_nothing_behind(bench: Bench) -> None:
 
 
 @pytest.mark.usefixtures("none_without_a_stop")
-async def test_who_waits_at_the_end_is_sent_away(bench: Bench) -> None:
+async def test_waiting_connections_are_closed_at_the_end(bench: Bench) -> None:
     silent, spoken = bench.connected(), bench.connected(HELLO)
     await bench.let_in(2)
     await bench.newcomers.close()
@@ -196,7 +196,7 @@ async def test_who_waits_at_the_end_is_sent_away(bench: Bench) -> None:
             assert client is spoken
 
 
-async def test_an_error_of_the_system_is_told_and_outlived(
+async def test_an_error_of_the_system_is_logged_and_survived(
     monkeypatch: pytest.MonkeyPatch, bench: Bench, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(newcomers, "_REST_S", 0.001)

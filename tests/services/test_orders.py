@@ -59,12 +59,12 @@ def refusal(orders):
     return answer[0]
 
 
-def test_nothing_is_ordered_of_a_robot_that_is_well(rig):
+def test_a_healthy_robot_gets_no_order(rig):
     orders = rig.settled()
     assert (orders.standing_stop, orders.resets, orders.outputs) == (None, 0, {})
 
 
-def test_the_first_reason_of_a_stop_stands_until_the_robot_holds(rig):
+def test_the_first_reason_of_a_stop_is_kept_until_the_robot_holds(rig):
     orders = rig.settled()
     orders.stop(ReasonCode.OPERATOR_STOP)
     orders.stop(ReasonCode.HLI_LOST)
@@ -72,7 +72,7 @@ def test_the_first_reason_of_a_stop_stands_until_the_robot_holds(rig):
     assert rig.state(Phase.HELD).standing_stop is None
 
 
-def test_a_stop_that_is_given_while_a_reset_is_on_its_way_outlives_the_hold_that_the_reset_ends(rig):
+def test_a_stop_during_a_reset_survives_that_reset(rig):
     orders = rig.settled(Phase.HELD)
     assert orders.reset(1) is None
     orders.stop(ReasonCode.OPERATOR_STOP)
@@ -103,7 +103,7 @@ def test_an_hli_may_be_silent_for_its_timeout_and_no_cycle_longer(rig):
     assert rig.state().standing_stop is ReasonCode.HLI_LOST
 
 
-def test_every_sign_of_life_of_the_hli_counts_anew(rig):
+def test_every_heartbeat_of_the_hli_restarts_its_timeout(rig):
     for _ in range(3 * HLI_TIMEOUT):
         rig.orders.hli_heard()
         rig.state()
@@ -122,7 +122,7 @@ def test_a_robot_without_a_state_is_not_reset(rig):
     assert refusal(rig.orders) is ReasonCode.UNREACHABLE
 
 
-def test_a_silent_krc_is_a_standing_cause_until_its_next_cycle(rig):
+def test_a_silent_krc_is_a_persistent_cause_until_its_next_cycle(rig):
     rig.settled(Phase.HELD)
     rig.repeat(reason=ReasonCode.KRC_LOST)
     assert refusal(rig.orders) is ReasonCode.CAUSE_STANDS
@@ -136,7 +136,7 @@ def test_a_repeated_state_without_a_lost_krc_is_no_cause(rig):
     assert rig.orders.reset(1) is None
 
 
-def test_a_state_that_was_overtaken_says_nothing_of_the_krc(rig):
+def test_an_overtaken_state_says_nothing_about_the_krc(rig):
     orders = rig.settled(Phase.HELD)
     orders.repeated(server_state("fr", rig.cycle - 1, Phase.HELD, reason=ReasonCode.KRC_LOST))
     assert orders.reset(1) is None
@@ -194,7 +194,7 @@ def test_no_reset_is_done_before_the_robots_first_state(rig):
     assert rig.orders.fulfilled() == []
 
 
-def test_resets_that_an_earlier_gate_gave_are_taken_over(rig):
+def test_the_reset_count_of_an_earlier_gate_is_adopted(rig):
     assert rig.state(resets=3).resets == 3
 
 
@@ -233,14 +233,14 @@ def test_a_robot_without_a_state_confirms_no_stop(rig):
     assert rig.orders.latched() == []
 
 
-def test_of_many_stops_that_wait_for_an_answer_the_last_are_answered(rig):
+def test_of_many_waiting_stops_the_last_are_answered(rig):
     orders = rig.settled()
     for id_ in range(100):
         orders.answer_when_stopped(id_)
     assert rig.state(Phase.HELD).latched() == list(range(36, 100))
 
 
-def test_an_order_that_was_not_given_is_not_remembered(rig):
+def test_only_given_orders_are_remembered(rig):
     nothing = OrdersMemory(
         standing_stop=None, resets=0, outputs={}, cycles_without_hli=None, krc_silent=False, awaited_resets=()
     )
@@ -248,7 +248,7 @@ def test_an_order_that_was_not_given_is_not_remembered(rig):
     assert rig.state().snapshot() == nothing
 
 
-def test_orders_go_on_from_what_others_remember(rig):
+def test_orders_continue_from_a_restored_snapshot(rig):
     orders = rig.settled(Phase.HELD, resets=2)
     orders.outputs["gripper"] = True
     orders.hli_heard()
@@ -288,29 +288,29 @@ def test_supervision_is_sent_in_every_cycle_without_an_admission_before_it():
     assert sent_of(Spared(40), 5, admits=False) == [0, 1, 2, 3, 4]
 
 
-def test_while_admissions_go_out_repeated_orders_are_sent_in_every_fourth_cycle():
+def test_during_admissions_repeated_orders_are_sent_every_fourth_cycle():
     assert sent_of(Spared(40), 10) == [0, 4, 8]
 
 
-def test_a_stop_is_never_spared_and_neither_are_other_orders_than_before():
+def test_stops_and_changed_orders_are_never_omitted():
     spared = Spared(40)
     assert sent_of(spared, 3, stop=ReasonCode.OPERATOR_STOP) == [0, 1, 2]
     for changed in ({"resets": 1}, {"outputs": {"gripper": True}}, {"cell": "other"}, {}):
         assert sent_of(spared, 3, **changed) == [0]
 
 
-def test_a_map_of_outputs_that_is_written_to_later_is_compared_as_it_was():
+def test_later_changes_of_an_outputs_map_do_not_affect_the_comparison():
     spared, outputs = Spared(40), {"gripper": False}
     assert sent_of(spared, 2, outputs=outputs) == [0]
     outputs["gripper"] = True
     assert sent_of(spared, 2, outputs=outputs) == [0]
 
 
-def test_an_admission_of_one_robot_spares_nothing_of_another():
+def test_an_admission_of_one_robot_omits_no_order_of_another():
     spared = Spared(40)
     sent_of(spared, 1)
     assert sent_of(spared, 3, admits=False, robot="gr") == [0, 1, 2]
 
 
-def test_nothing_is_spared_where_a_robot_server_does_not_wait_that_long():
+def test_with_short_timeouts_no_order_is_omitted():
     assert sent_of(Spared(3), 4) == [0, 1, 2, 3]

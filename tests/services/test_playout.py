@@ -87,7 +87,7 @@ def delays(link: Link) -> set[int]:
     return {now - cycle for now, cycle in link.played}
 
 
-def test_on_an_even_link_each_cycle_has_an_increment_and_none_waits_longer_than_it_must() -> None:
+def test_on_an_even_link_each_cycle_has_an_increment_with_the_least_delay() -> None:
     link = Link()
     link.run([5] * 300)
     assert delays(link) == {6}  # it came after the fifth state, and is passed on with the sixth
@@ -95,7 +95,7 @@ def test_on_an_even_link_each_cycle_has_an_increment_and_none_waits_longer_than_
     assert (link.buffer.told().late, link.buffer.told().empty) == (0, 0)
 
 
-def test_jitter_makes_no_gaps_once_it_is_known() -> None:
+def test_known_jitter_leaves_no_empty_cycle() -> None:
     link, draw = Link(), random.Random(3)
     ages: list[int | None] = [draw.choice((3, 4, 5, 6, 7)) for _ in range(1000)]
     link.run(ages)
@@ -113,9 +113,7 @@ def test_a_lost_increment_costs_its_own_cycle_and_no_other() -> None:
 
 
 @pytest.mark.parametrize(("age", "fate"), [(17, Fate.CARRIED), (18, Fate.LATE)])
-def test_few_that_are_very_late_do_not_make_all_wait_and_are_carried_if_they_are_not_too_late(
-    age: int, fate: Fate
-) -> None:
+def test_few_very_late_increments_do_not_raise_the_delay_and_are_deferred(age: int, fate: Fate) -> None:
     link = Link()
     link.run(([4] * 99 + [age]) * 5 + [4] * 40)
     assert max(delays(link)) <= 5
@@ -123,7 +121,7 @@ def test_few_that_are_very_late_do_not_make_all_wait_and_are_carried_if_they_are
     assert link.buffer.told().late == 5
 
 
-def test_where_a_link_becomes_slower_the_delay_grows_and_it_shrinks_again_with_the_link() -> None:
+def test_the_delay_follows_the_link_up_and_down() -> None:
     link = Link()
     link.run([3] * 300)
     link.run([20] * 300)
@@ -142,7 +140,7 @@ def test_one_of_twenty_may_be_late_and_none_of_fewer(before: int, delay_cycles: 
     assert buffer.told().delay_cycles == delay_cycles
 
 
-def test_a_second_answer_to_a_state_whose_answer_had_its_turn_is_late() -> None:
+def test_a_second_answer_to_an_answered_state_is_late() -> None:
     buffer = new_buffer()
     buffer.put(asked(10, 10), 10)
     assert buffer.turn(11).asked is not None
@@ -159,7 +157,7 @@ def test_of_two_answers_to_one_state_the_newer_is_kept() -> None:
     assert buffer.turn(13).asked == again
 
 
-def test_another_robot_server_counts_from_one_and_nothing_of_before_is_passed_on() -> None:
+def test_after_a_restart_of_the_robot_server_no_earlier_increment_passes() -> None:
     buffer = new_buffer()
     for cycle in (1000, 1001):
         buffer.put(asked(cycle, cycle), cycle)
@@ -174,7 +172,7 @@ def test_another_robot_server_counts_from_one_and_nothing_of_before_is_passed_on
     assert buffer.turn(2).asked == asked(1, 1)
 
 
-def test_after_a_state_that_never_came_the_newest_of_two_has_the_turn_and_the_other_is_carried() -> None:
+def test_after_a_lost_state_the_newest_increment_passes_and_the_other_is_deferred() -> None:
     link = Link()
     link.run([4] * 60, missed=frozenset({30}))
     assert delays(link) == {5}
@@ -195,7 +193,7 @@ def test_the_report_begins_with_the_first_cycle() -> None:
 
 
 @pytest.mark.parametrize(("pause", "empty"), [(MOST_CYCLES, MOST_CYCLES), (MOST_CYCLES + 1, 0)])
-def test_a_controller_that_paused_has_left_no_cycle_empty(pause: int, empty: int) -> None:
+def test_cycles_of_a_pause_do_not_count_as_empty(pause: int, empty: int) -> None:
     buffer = new_buffer()
     for cycle in (10, 11 + pause):
         buffer.put(asked(cycle, cycle), cycle)
@@ -208,7 +206,7 @@ def test_a_controller_that_paused_has_left_no_cycle_empty(pause: int, empty: int
     st.lists(st.one_of(st.none(), st.integers(0, MOST_CYCLES)), min_size=1, max_size=120),
     st.frozensets(st.integers(1, 120), max_size=20),
 )
-def test_whatever_comes_whenever_each_is_passed_on_once_and_in_order_or_told(
+def test_every_increment_passes_once_and_in_order_or_is_reported(
     ages: list[int | None], missed: frozenset[int]
 ) -> None:
     link = Link()
@@ -226,7 +224,7 @@ def test_whatever_comes_whenever_each_is_passed_on_once_and_in_order_or_told(
 @example([2, 3, 2], 3)
 @example([1, 4, 2, 3, 2, 1, 5, 2, 3], 4)
 @given(st.lists(st.integers(0, 12), min_size=4), st.integers(1, 7))
-def test_no_sequence_number_is_taken_twice_and_with_one_place_only_greater_ones_are(
+def test_no_sequence_number_is_accepted_twice_and_a_window_of_one_accepts_only_greater_ones(
     numbers: list[int], width: int
 ) -> None:
     sequence, only_greater, taken = Sequence(width), Sequence(), []
@@ -290,7 +288,7 @@ def verdicts(outputs: list[Output]) -> list[Verdict]:
     return [one.message for one in outputs if isinstance(one, ToSender) and isinstance(one.message, Verdict)]
 
 
-def test_an_increment_older_than_any_may_be_without_a_buffer_is_passed_on_as_of_now() -> None:
+def test_an_increment_from_the_buffer_passes_with_the_present_cycle() -> None:
     bench = Bench()
     for _ in range(30):
         bench.turn()
@@ -305,7 +303,7 @@ def test_an_increment_older_than_any_may_be_without_a_buffer_is_passed_on_as_of_
     assert state.playout.answered_cycle == bench.cycle - 27
 
 
-def test_increments_that_overtook_one_another_go_out_in_the_order_of_their_states() -> None:
+def test_reordered_increments_pass_in_the_order_of_their_states() -> None:
     bench = Bench()
     for seq, cycle in enumerate(range(101, 131), start=1):  # one that takes three cycles shows the delay
         bench.turn()
@@ -334,7 +332,7 @@ def test_a_duplicate_is_refused_though_numbers_may_overtake_one_another() -> Non
         assert refused.reasons[0].code is ReasonCode.REPLAYED_SEQUENCE
 
 
-def test_an_increment_that_was_lost_comes_with_the_one_behind_it_and_has_its_turn() -> None:
+def test_a_lost_increment_is_restored_from_its_successor() -> None:
     bench = Bench()
     for cycle in range(101, 105):
         bench.turn()
@@ -348,9 +346,7 @@ def test_an_increment_that_was_lost_comes_with_the_one_behind_it_and_has_its_tur
     assert bench.core.counters["increments_overtaken"] == 0
 
 
-def test_an_increment_that_another_overtook_and_brought_is_no_duplicate_when_it_comes_and_once_more_it_is() -> (
-    None
-):
+def test_an_already_repeated_increment_is_accepted_as_no_duplicate_once() -> None:
     bench = Bench()
     for _ in range(2):
         bench.turn()
@@ -378,7 +374,7 @@ def test_without_a_jitter_buffer_repeated_increments_are_ignored() -> None:
     assert verdicts(bench.answer(bench.cycle, 6))[0].reasons[0].code is ReasonCode.REPLAYED_SEQUENCE
 
 
-def test_a_link_that_is_too_slow_is_told_so_with_what_it_took_and_the_bound() -> None:
+def test_a_too_slow_link_is_reported_with_its_delay_and_the_bound() -> None:
     bench = Bench()
     for _ in range(80):
         bench.turn()
@@ -393,7 +389,7 @@ def test_a_link_that_is_too_slow_is_told_so_with_what_it_took_and_the_bound() ->
     assert bench.answer(bench.cycle - 50, seq=2) == []
 
 
-def test_how_well_a_controller_sees_is_told_with_each_state_until_the_lease_ends() -> None:
+def test_the_sight_of_a_controller_is_published_with_each_state_during_the_lease() -> None:
     bench = Bench(playout=False)
     _, state, _ = bench.turn()
     assert (state.sight, state.target) == (None, None)
@@ -416,7 +412,7 @@ def test_how_well_a_controller_sees_is_told_with_each_state_until_the_lease_ends
     assert (state.sight, state.target) == (None, None)
 
 
-def test_without_a_buffer_nothing_is_different() -> None:
+def test_without_a_buffer_nothing_changes() -> None:
     bench = Bench(playout=False)
     for _ in range(30):
         _, state, _ = bench.turn()
@@ -454,7 +450,7 @@ def test_waiting_increments_are_refused_when_the_robot_is_stopped_held_or_releas
     assert (state.playout is None) == (ends == "release")
 
 
-def test_an_hli_that_goes_on_from_a_snapshot_does_what_the_other_does() -> None:
+def test_an_hli_restored_from_a_snapshot_behaves_identically() -> None:
     bench = Bench()
     for seq in range(1, 20):
         bench.turn()

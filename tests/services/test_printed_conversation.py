@@ -78,7 +78,7 @@ class Conversation:
 
 
 @pytest.mark.service
-def test_the_printed_conversation_is_what_a_running_hli_says() -> None:
+def test_the_printed_conversation_agrees_with_a_running_hli() -> None:
     with Server() as server, socket.create_connection(("127.0.0.1", server.description.tcp_port), 20) as sock:
         conversation = Conversation(server, sock)
         for _, direction, message in printed():
@@ -87,7 +87,7 @@ def test_the_printed_conversation_is_what_a_running_hli_says() -> None:
         assert server.errors == []
 
 
-def test_the_times_of_the_printed_conversation_tell_how_long_a_holder_may_be_silent() -> None:
+def test_the_printed_times_show_the_permitted_silence_of_a_holder() -> None:
     lines = printed()
     ((lapsed, sent),) = [
         (time, max(said for said, direction, _ in lines if direction == ">" and said < time))

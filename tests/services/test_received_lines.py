@@ -31,7 +31,7 @@ def test_an_incomplete_stop_stays_unread(other: bytes) -> None:
     assert len(lines) == len(other)
 
 
-def test_a_stop_overtakes_what_waits_and_leaves_it_as_it_was() -> None:
+def test_a_stop_overtakes_waiting_lines_and_keeps_them() -> None:
     lines = received(b"first\n", b"sec")
     begin = len(lines)
     lines.add(b"ond\n" + STOP + b"\nthird")
@@ -41,7 +41,7 @@ def test_a_stop_overtakes_what_waits_and_leaves_it_as_it_was() -> None:
     assert lines.take() == b"third"
 
 
-def test_a_stop_that_comes_byte_by_byte_is_seen_with_its_last_one() -> None:
+def test_a_stop_received_byte_by_byte_is_recognised_at_its_last_byte() -> None:
     lines = received(b"waits\n")
     seen = []
     for byte in STOP + b"\n":
@@ -58,7 +58,7 @@ def test_the_length_of_a_line_is_known_before_its_end() -> None:
     assert lines.first() == (15, True)
 
 
-def test_of_lines_that_are_forgotten_the_last_one_goes_on() -> None:
+def test_after_dropped_lines_the_incomplete_last_one_continues() -> None:
     lines = received(b"a\nb\nc")
     assert lines.first() == (1, True)
     lines.forget_whole()

@@ -71,7 +71,7 @@ def cycles(recording: Recording) -> list[int]:
     return [item.message.cycle for item in recording.messages()]
 
 
-def test_a_file_that_is_there_is_never_written_over(tmp_path: Path, description: Description) -> None:
+def test_an_existing_file_is_never_overwritten(tmp_path: Path, description: Description) -> None:
     file = tmp_path / "run.mcap"
     file.write_text("something dear")
     with pytest.raises(RecordingError, match="name another file"):
@@ -79,12 +79,12 @@ def test_a_file_that_is_there_is_never_written_over(tmp_path: Path, description:
     assert file.read_text() == "something dear"
 
 
-def test_a_folder_that_is_not_there_is_told(tmp_path: Path, description: Description) -> None:
+def test_a_missing_folder_is_reported(tmp_path: Path, description: Description) -> None:
     with pytest.raises(RecordingError, match="No such file"):
         RecordingWriter(tmp_path / "nowhere" / "run.mcap", description, "live")
 
 
-def test_a_full_disk_is_told_and_ends_the_recording(cell: CellModel) -> None:
+def test_a_full_disk_is_reported_and_ends_the_recording(cell: CellModel) -> None:
     with pytest.raises(RecordingError, match=r"/dev/full can no longer be written: No space left"):
         write(Path("/dev/full"), cell)
 
@@ -115,7 +115,7 @@ def test_a_file_other_than_a_recording_is_reported(tmp_path: Path) -> None:
             Recording.open(path)
 
 
-def test_wherever_a_file_is_cut_off_what_stands_before_is_read(recorded: Path, tmp_path: Path) -> None:
+def test_a_truncated_file_is_read_up_to_its_end(recorded: Path, tmp_path: Path) -> None:
     data, cut = recorded.read_bytes(), tmp_path / "cut.mcap"
     lengths = []
     for share in (0.5, 0.7, 0.9):
@@ -169,25 +169,21 @@ def test_a_chunk_is_never_unpacked_beyond_its_bound(
 
 
 @pytest.mark.parametrize("missing", ["robots", "cell"])
-def test_metadata_that_lacks_an_entry_is_told_by_its_name(
-    recorded: Path, tmp_path: Path, missing: str
-) -> None:
+def test_a_missing_metadata_entry_is_reported_by_name(recorded: Path, tmp_path: Path, missing: str) -> None:
     file = tmp_path / "run.mcap"
     rewrite(recorded, file, about=lambda entries: {k: v for k, v in entries.items() if k != missing})
     with pytest.raises(UnreadableRecordingError, match=f"its metadata 'deltaq' has no '{missing}'"):
         Recording.open(file)
 
 
-def test_a_robot_without_its_urdf_is_told_by_its_name(recorded: Path, tmp_path: Path) -> None:
+def test_a_robot_without_urdf_is_reported_by_name(recorded: Path, tmp_path: Path) -> None:
     file = rewrite(recorded, tmp_path / "run.mcap", about=lambda entries: {**entries, "robots": "gr"})
     file = rewrite(file, tmp_path / "less.mcap", without=["fr.urdf"])
     with pytest.raises(UnreadableRecordingError, match="it has no URDF of fr"):
         Recording.open(file).cell()
 
 
-def test_a_value_that_its_schema_does_not_have_costs_its_message_alone(
-    recorded: Path, tmp_path: Path
-) -> None:
+def test_a_value_outside_of_its_schema_loses_only_its_message(recorded: Path, tmp_path: Path) -> None:
     def unknown_phase(topic: str, number: int, data: bytes) -> bytes:
         del number
         if not topic.endswith("/state"):
@@ -218,7 +214,7 @@ def test_every_single_damaged_byte_is_survived(recorded: Path, tmp_path: Path) -
 
 
 @pytest.mark.long
-def test_a_damaged_chunk_is_left_out_and_the_others_are_read(cell: CellModel, tmp_path: Path) -> None:
+def test_a_damaged_chunk_is_omitted_and_the_others_are_read(cell: CellModel, tmp_path: Path) -> None:
     file = write(tmp_path / "run.mcap", cell, 1500)
     with file.open("rb") as stream:
         summary = make_reader(stream).get_summary()
@@ -266,7 +262,7 @@ def test_other_programs_read_joint_states_and_transforms(recorded: Path, cell: C
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_waits_until_it_is_let_go(number):
+def test_a_held_signal_waits_for_its_release(number):
     before = signal.getsignal(number)
     with HeldInterrupts() as held:
         held.let_go()
@@ -278,7 +274,7 @@ def test_a_signal_waits_until_it_is_let_go(number):
     assert signal.getsignal(number) is before
 
 
-def test_in_another_thread_nothing_is_held_and_nothing_fails():
+def test_in_another_thread_holding_signals_does_nothing():
     before, ended = signal.getsignal(signal.SIGINT), []
 
     def hold():

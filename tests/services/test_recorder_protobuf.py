@@ -110,7 +110,7 @@ def bits(value: object) -> object:
 
 
 @pytest.mark.parametrize("message", MESSAGES, ids=lambda m: type(m).__name__)
-def test_a_message_comes_back_from_protobuf_to_the_last_bit(message: Message) -> None:
+def test_a_message_survives_protobuf_bit_for_bit(message: Message) -> None:
     encoded = recorded_schema().encode(message)
     back = to_message(type(message), type(encoded).FromString(encoded.SerializeToString()))
     assert bits(back.model_dump()) == bits(message.model_dump())
@@ -125,7 +125,7 @@ def test_every_recorded_topic_has_a_fully_qualified_schema() -> None:
             assert set(descriptor.fields_by_name) == set(topic.message.model_fields)
 
 
-def test_an_enumeration_keeps_its_names_and_begins_with_nothing_given() -> None:
+def test_an_enumeration_keeps_its_names_and_begins_with_unspecified() -> None:
     encoded = recorded_schema().encode(VERDICT)
     values = encoded.DESCRIPTOR.fields_by_name["outcome"].enum_type.values_by_number
     assert values[0].name == "OUTCOME_UNSPECIFIED"
@@ -164,7 +164,7 @@ def test_a_recording_of_another_version_is_read_by_the_names_of_its_fields() -> 
     assert verdict == Verdict(robot="gr", cycle=3, seq=4, outcome=Outcome.ADMITTED)
 
 
-def test_a_value_that_this_version_does_not_know_is_an_invalid_message() -> None:
+def test_an_unknown_value_is_an_invalid_message() -> None:
     field = descriptor_pb2.FieldDescriptorProto
     fields = {
         "outcome": field.TYPE_ENUM,

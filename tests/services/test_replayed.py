@@ -81,9 +81,7 @@ def test_a_recording_of_another_cell_is_refused(recorded: Path) -> None:
         replayed(recorded, str(CellModel.load("dawm").identity))
 
 
-def test_a_recording_without_states_and_a_file_that_is_none_are_refused(
-    cell: CellModel, tmp_path: Path
-) -> None:
+def test_recordings_without_states_and_other_files_are_refused(cell: CellModel, tmp_path: Path) -> None:
     RecordingWriter(tmp_path / "empty.mcap", cell.description_message(), "live").close()
     with pytest.raises(EmptyReplayError, match="nothing to show"):
         replayed(tmp_path / "empty.mcap", str(cell.identity))
@@ -92,7 +90,7 @@ def test_a_recording_without_states_and_a_file_that_is_none_are_refused(
         replayed(tmp_path / "notes.mcap", str(cell.identity))
 
 
-def test_robots_are_told_at_even_steps_and_silence_is_told_too(recorded: Path, cell: CellModel) -> None:
+def test_robots_and_their_silence_are_given_at_even_steps(recorded: Path, cell: CellModel) -> None:
     told = replayed(recorded, str(cell.identity))
     fr, gr = told["robots"]["fr"], told["robots"]["gr"]
     steps = len(fr["q"])
@@ -107,14 +105,14 @@ def test_robots_are_told_at_even_steps_and_silence_is_told_too(recorded: Path, c
     assert set(gr["q"]) == {None}
 
 
-def test_verdicts_that_repeat_are_one_line(recorded: Path, cell: CellModel) -> None:
+def test_repeated_verdicts_are_one_line(recorded: Path, cell: CellModel) -> None:
     (line,) = replayed(recorded, str(cell.identity))["verdicts"]
     assert (line["robot"], line["outcome"], line["code"], line["count"]) == ("fr", "held", "clearance", 50)
     assert line["time_s"] == pytest.approx(200 * CYCLE_S)
     assert line["until_s"] == pytest.approx(249 * CYCLE_S)
 
 
-def test_a_long_recording_is_told_at_greater_steps(recorded: Path, cell: CellModel) -> None:
+def test_a_long_recording_has_longer_steps(recorded: Path, cell: CellModel) -> None:
     told = replayed(recorded, str(cell.identity), most_ticks=30)
     q = told["robots"]["fr"]["q"]
     assert told["period_s"] == pytest.approx(4 * PERIOD_S)

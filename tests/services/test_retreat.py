@@ -61,24 +61,24 @@ def low():
     return at_rest("fr", above_the_floor(-2e-3))
 
 
-def test_every_pair_that_is_too_near_is_named_with_its_distance_and_what_it_should_be(low):
+def test_every_too_near_pair_is_named_with_its_distance_and_bound(low):
     _, (reason,) = find(low, OUT)
     assert (reason.code, reason.what, reason.bound) == (ReasonCode.RETREAT, FLOOR, STOP_M)
     assert reason.value == pytest.approx(STOP_M - 2e-3, abs=1e-5)
 
 
-def test_motion_outwards_is_let_go_up_to_the_speed_of_retreat(low):
+def test_outward_motion_is_admitted_up_to_the_retreat_speed(low):
     assert find(low, OUT)[0] == 1.0
     assert find(low, 0.5 * OUT)[0] == 1.0
     assert find(low, 4 * OUT)[0] == pytest.approx(0.25)
 
 
-def test_no_more_is_let_go_than_the_limits_leave(low):
+def test_a_retreat_keeps_the_joint_limits(low):
     assert find(low, 2 * OUT, at_most=0.2)[0] == 0.2
     assert find(low, OUT, at_most=0.0)[0] == 0.0
 
 
-def test_motion_inwards_is_not_let_go_and_what_changes_no_distance_is(low):
+def test_inward_motion_is_held_and_motion_at_constant_distance_admitted(low):
     assert find(low, -OUT)[0] == 0.0
     least = -0.02 * OUT
     assert LIMITS["fr"].brake_cycles(least) == 1  # it is at rest after the first setpoint
@@ -86,11 +86,11 @@ def test_motion_inwards_is_not_let_go_and_what_changes_no_distance_is(low):
     assert find(low, one_joint("fr", 0, SLOW[0]))[0] == 1.0  # about the vertical
 
 
-def test_a_robot_that_moves_within_a_violation_has_to_come_to_rest_first():
+def test_a_robot_moving_in_a_violation_must_first_come_to_rest():
     assert find(in_motion("fr", above_the_floor(-2e-3), OUT), OUT) == (0.0, [])
 
 
-def test_a_retreat_that_has_begun_goes_on_without_a_rest():
+def test_a_begun_retreat_continues_without_a_stop():
     known = violations_of(at_rest("fr", above_the_floor(-2.5e-3)))
     moving = in_motion("fr", above_the_floor(-1e-3), 0.05 * OUT)
     assert find(moving, OUT, violations=known)[0] == 1.0
@@ -108,21 +108,21 @@ def test_an_admission_starts_where_the_brake_continues():
     assert find(moving, inwards + 2 * moving.brake(), violations=known)[0] == 0.0
 
 
-def test_a_violation_lasts_until_the_drives_have_left_it_too():
+def test_a_violation_lasts_until_the_drives_have_left_it():
     known = violations_of(at_rest("fr", above_the_floor(-2e-3)))
     leaving = in_motion("fr", above_the_floor(5e-3), 0.5 * OUT)
     assert find(leaving, OUT, violations=known)[0] == 1.0
     assert known.kept_m(frozenset(FLOOR.split())) is not None
 
 
-def test_a_violation_ends_as_soon_as_its_pair_is_shown_to_have_room_though_the_robot_moves_along():
+def test_a_violation_ends_for_a_moving_robot_when_its_pair_is_shown_to_be_clear():
     known = violations_of(at_rest("fr", above_the_floor(-2e-3)))
     along = in_motion("fr", above_the_floor(3e-3), one_joint("fr", 0, LIMITS["fr"].max_dq[0] / 2))
     find(along, OUT, violations=known)
     assert known.snapshot() == ()
 
 
-def test_of_two_pairs_that_are_too_near_the_one_that_was_measured_is_told_while_the_robot_moves():
+def test_of_two_too_near_pairs_the_measured_one_is_reported_in_motion():
     both = told(find(at_rest("fr", BESIDE_THE_TIE), OUT)[1])
     assert sorted(both) == ["fr/link_5 structure/tie_east", "fr/tool_camera structure/tie_east"]
     moving = in_motion("fr", BESIDE_THE_TIE, one_joint("fr", 5, 1e-6))
@@ -142,7 +142,7 @@ def test_a_brake_faster_than_retreat_has_to_end_first():
     assert find(slow, OUT, violations=known)[0] > 0.0
 
 
-def test_a_way_back_is_let_go_as_far_as_the_violation_began_and_no_further():
+def test_a_return_is_admitted_up_to_the_distance_at_the_begin_of_the_violation():
     known = violations_of(at_rest("fr", above_the_floor(-2e-3)))
     back = at_rest("fr", above_the_floor(-1e-3))
     assert find(back, -0.2 * OUT, violations=known)[0] == 1.0
@@ -150,7 +150,7 @@ def test_a_way_back_is_let_go_as_far_as_the_violation_began_and_no_further():
 
 
 @pytest.mark.parametrize("below_m", [0.5e-3, 5e-3])
-def test_no_number_of_admissions_creeps_nearer(below_m):
+def test_many_admissions_never_creep_nearer(below_m):
     q, known = above_the_floor(-below_m), Violations()
     began = ORACLE.between_robots_and_structure(HOME | {"fr": q}).distance_m
     for inwards in (0.4e-6, 3e-6, 30e-6) * 40:
@@ -159,7 +159,7 @@ def test_no_number_of_admissions_creeps_nearer(below_m):
     assert ORACLE.between_robots_and_structure(HOME | {"fr": q}).distance_m > began - 1e-5
 
 
-def test_drives_that_stand_off_their_setpoint_do_not_keep_a_robot_in_its_violation():
+def test_drives_off_their_setpoint_do_not_prolong_a_violation():
     q, known = above_the_floor(-2e-3), Violations()
     for sag in (1e-4, 3e-4, 2e-4, 4e-4):
         robot = at_rest("fr", q, measured=q + one_joint("fr", 1, sag))
@@ -167,14 +167,14 @@ def test_drives_that_stand_off_their_setpoint_do_not_keep_a_robot_in_its_violati
         assert find(robot, -0.02 * OUT, violations=known)[0] == 0.0
 
 
-def test_a_pair_that_keeps_the_stop_distance_is_no_violation_and_is_certified_as_always():
+def test_a_pair_at_the_stop_distance_is_certified_as_usual():
     clear = at_rest("fr", above_the_floor(1.5e-3))
     assert find(clear, OUT) == (1.0, [])
     assert find(clear, -0.1 * OUT) == (1.0, [])
     assert find(clear, -OUT) == (0.0, [])
 
 
-def test_a_pair_at_the_stop_distance_to_within_what_coal_can_tell_is_led_out():
+def test_a_pair_at_the_stop_distance_within_the_accuracy_of_coal_may_retreat():
     assert find(at_rest("fr", above_the_floor(0.0)), OUT)[0] == 1.0
     assert find(at_rest("fr", above_the_floor(0.0)), -0.02 * OUT)[0] == 0.0
 
@@ -184,7 +184,7 @@ def test_motion_along_a_body_is_no_violation():
     assert find(robot, OUT)[1] == []
 
 
-def test_a_violation_of_two_robots_is_led_out_of_by_either():
+def test_either_robot_may_end_a_common_violation():
     here = {"fr": FR_BESIDE_GR, "gr": GR_BESIDE_FR}
     gr, fr = at_rest("gr", with_room(-2e-3, "gr", here, 4)), at_rest("fr", FR_BESIDE_GR)
     slow = GATE.retreat_speed * LIMITS["gr"].max_dq[4]
@@ -204,14 +204,14 @@ def in_flight(gr, increment):
 
 
 @pytest.mark.parametrize("deep_m", [1e-3, 2e-2])
-def test_out_of_a_body_that_it_is_in_a_robot_is_let_go_and_never_deeper(deep_m):
+def test_a_robot_inside_a_body_may_only_leave_it(deep_m):
     within = at_rest("fr", above_the_floor(-STOP_M - deep_m))
     scale, (reason,) = find(within, OUT)
     assert (scale, reason.what, reason.value) == (1.0, FLOOR, pytest.approx(-deep_m, abs=1e-5))
     assert find(within, -0.02 * OUT)[0] == 0.0
 
 
-def test_out_of_a_robot_that_it_is_in_either_is_let_go_and_never_deeper():
+def test_of_two_overlapping_robots_either_may_only_leave():
     here = {"fr": FR_BESIDE_GR, "gr": GR_BESIDE_FR}
     gr, fr = at_rest("gr", with_room(-STOP_M - 5e-3, "gr", here, 4)), at_rest("fr", FR_BESIDE_GR)
     slow = GATE.retreat_speed * LIMITS["gr"].max_dq[4]
@@ -226,14 +226,14 @@ def turns_of(fr, gr, violations=None):
     return sorted(find(fr, sign * one_joint("fr", 0, SLOW[0]), [gr], 1.0, violations)[0] for sign in (1, -1))
 
 
-def test_a_robot_that_may_be_moving_is_not_retreated_from_before_it_stands():
+def test_a_retreat_from_a_moving_robot_waits_until_it_stands():
     here = {"fr": FR_BESIDE_GR, "gr": GR_BESIDE_FR}
     gr, fr = at_rest("gr", with_room(-2e-3, "gr", here, 4)), at_rest("fr", FR_BESIDE_GR)
     assert turns_of(fr, gr) == [0.0, 1.0]
     assert turns_of(fr, in_flight(gr, -2e-3)) == [0.0, 0.0]  # though it leads away
 
 
-def test_the_whole_tube_of_a_robot_that_retreats_too_is_kept_clear_of():
+def test_a_retreat_keeps_clear_of_the_tube_of_another_retreating_robot():
     here = {"fr": FR_BESIDE_GR, "gr": GR_BESIDE_FR}
     gr, fr = at_rest("gr", with_room(-2e-3, "gr", here, 4)), at_rest("fr", FR_BESIDE_GR)
     known = violations_of(gr, fr)
@@ -250,7 +250,7 @@ def test_retreat_from_one_body_does_not_lead_too_near_to_another(low):
     assert find(low, 0.2 * OUT, [gr])[0] == 1.0
 
 
-def test_a_look_for_a_way_out_changes_nothing_of_what_is_measured_next(low):
+def test_a_search_for_a_retreat_does_not_change_later_measurements(low):
     groups = PROXIMITY.alone["fr"]
 
     def measured():
@@ -274,7 +274,7 @@ def violations():
     return Violations()
 
 
-def test_a_pair_keeps_what_it_had_when_its_violation_began(violations):
+def test_a_pair_keeps_its_distance_at_the_begin_of_its_violation(violations):
     assert violations.kept_m(PAIR) is None
     violations.stands(PAIR, 0.048, STOP_M)
     assert violations.kept_m(PAIR) == pytest.approx(0.048 - ALLOWANCE_M, abs=1e-15)
@@ -282,7 +282,7 @@ def test_a_pair_keeps_what_it_had_when_its_violation_began(violations):
     assert violations.kept_m(PAIR) == pytest.approx(0.048 - ALLOWANCE_M, abs=1e-15)
 
 
-def test_a_pair_that_is_measured_again_and_again_does_not_creep(violations):
+def test_a_repeatedly_measured_pair_does_not_creep(violations):
     violations.stands(PAIR, 0.048, STOP_M)
     for _ in range(1000):
         kept = violations.kept_m(PAIR)
@@ -316,7 +316,7 @@ def test_a_violation_ends_for_the_robots_that_it_concerns(violations):
     assert violations.kept_m(PAIR) is None
 
 
-def test_another_gate_goes_on_with_the_same_violations(violations):
+def test_a_restored_gate_continues_with_the_same_violations(violations):
     violations.stands(ROBOTS, 0.047, STOP_M)
     violations.stands(PAIR, 0.048, STOP_M)
     memory = violations.snapshot()

@@ -108,7 +108,7 @@ def test_before_a_gates_first_message_it_follows_none_and_does_not_hold():
     assert state.cell == IDENTITY  # so that a gate which has read another is noticed by both
 
 
-def test_digital_outputs_are_off_until_ordered_and_others_than_its_own_are_not_taken():
+def test_digital_outputs_are_off_by_default_and_foreign_ones_ignored():
     server = RobotServer(CELL, "gr", process=1)
     assert server.outputs == {"gripper": False, "tool_changer": False}
     home = CELL.robots["gr"].home
@@ -154,7 +154,7 @@ def test_without_admission_the_setpoint_stands_still(rig):
     assert state.phase is Phase.READY
 
 
-def test_an_admission_is_sent_to_the_bit_and_engages(rig):
+def test_an_admission_is_sent_bit_for_bit_and_engages(rig):
     dq = STEP * 0.5
     state = rig.cycle(rig.admission(dq))
     assert state.phase is Phase.ENGAGED
@@ -162,7 +162,7 @@ def test_an_admission_is_sent_to_the_bit_and_engages(rig):
     assert state.sequence == 1
 
 
-def test_starved_it_drives_the_brake_and_is_ready_again(rig):
+def test_without_admissions_it_brakes_and_is_ready_again(rig):
     rig.run_up(5)
     speeds = [np.array(rig.server.state.dq)]
     phases = []
@@ -176,7 +176,7 @@ def test_starved_it_drives_the_brake_and_is_ready_again(rig):
     assert np.all(np.abs(np.diff(speeds, axis=0)) <= STEP * (1 + 1e-6))
 
 
-def test_cycles_of_the_brake_are_counted_by_what_caused_them(rig):
+def test_braked_cycles_are_counted_by_their_cause(rig):
     rig.run_up(5)
     rig.cycle()
     rig.cycle(rig.admission(STEP, follows_resets=7))
@@ -230,7 +230,7 @@ def test_a_brake_that_ends_outside_the_limits_is_not_taken(rig):
     assert rig.counters["admission_leaves_limits"] == 1
 
 
-def test_outside_its_limits_it_may_come_back_but_not_go_further(rig):
+def test_beyond_its_limits_a_robot_may_return_but_not_go_further(rig):
     rig.begin(FR.upper + 0.1)
     rig.resets += 1
     rig.cycle()
@@ -271,7 +271,7 @@ def test_an_admission_shows_that_the_gate_lives_only_if_it_is_taken(rig):
     assert rig.cycle(rig.admission(STEP, sequence=0), gate=False).reason is ReasonCode.GATE_LOST
 
 
-def test_the_first_reason_of_a_hold_stands_and_each_hold_is_counted_once(rig):
+def test_the_first_reason_of_a_hold_is_kept_and_each_hold_counted_once(rig):
     for hold in (1, 2):
         for _ in range(GATE_TIMEOUT + 5):
             state = rig.cycle(stop=ReasonCode.OPERATOR_STOP)
@@ -285,7 +285,7 @@ def test_the_first_reason_of_a_hold_stands_and_each_hold_is_counted_once(rig):
     assert rig.counters["held_gate_lost"] == 0
 
 
-def test_admissions_are_counted_by_what_became_of_them(rig):
+def test_admissions_are_counted_by_their_fate(rig):
     rig.run_up(3)
     for _ in range(2):
         rig.cycle(rig.admission(STEP, cycle=0))
@@ -320,7 +320,7 @@ def test_a_new_gate_is_not_obeyed_before_a_reset(rig):
 
 
 @pytest.mark.parametrize("stop", [None, ReasonCode.OPERATOR_STOP])
-def test_a_gate_that_has_read_another_cell_holds_the_robot_and_each_word_of_it_is_counted(rig, stop):
+def test_a_gate_of_another_cell_holds_the_robot_and_its_messages_are_counted(rig, stop):
     rig.run_up(1)
     for count in (1, 2, 3):
         state = rig.cycle(stop=stop, cell=f"{IDENTITY}-another")
@@ -371,7 +371,7 @@ def test_replies_may_be_missed_for_their_time_and_no_cycle_longer(rig):
     assert rig.counters["reply_missed"] == 3 * KRC_TIMEOUT + 1
 
 
-def test_replies_that_are_missed_from_the_first_telegram_on_count_too():
+def test_replies_missed_from_the_first_telegram_on_count_too():
     dawm = load_cell("dawm")
     server, home = RobotServer(dawm, "dawm", process=1), dawm.robots["dawm"].home
     alive = Supervision(robot="dawm", epoch=EPOCH, cycle=0, cell=str(content_identity(dawm)))
@@ -382,7 +382,7 @@ def test_replies_that_are_missed_from_the_first_telegram_on_count_too():
     assert server.state.phase is Phase.HELD
 
 
-def test_a_reset_forgives_the_replies_that_were_missed(rig):
+def test_a_reset_clears_the_count_of_missed_replies(rig):
     for _ in range(KRC_TIMEOUT + 1):
         rig.cycle(missed_last=True)
     rig.resets += 1
@@ -408,7 +408,7 @@ def test_a_krc_that_comes_back_with_a_missed_reply_still_stands(rig):
     assert rig.cycle(missed_last=True).dq == (0.0,) * 6
 
 
-def test_of_several_causes_the_silent_krc_stands(rig):
+def test_of_several_causes_the_silent_krc_takes_precedence(rig):
     rig.cycle(stop=ReasonCode.OPERATOR_STOP)
     rig.server.krc_silent(99.0)
     assert rig.server.state.reason is ReasonCode.KRC_LOST
@@ -429,7 +429,7 @@ def test_a_silent_krc_does_not_hold_a_robot_that_no_gate_has_linked():
     assert (server.state.phase, server.state.reason) == (Phase.OFFLINE, None)
 
 
-def test_a_silent_krc_holds_the_robot_where_the_krc_does(rig):
+def test_a_silent_krc_holds_the_robot_at_the_setpoint_of_the_krc(rig):
     rig.run_up(3)
     rig.server.krc_silent(99.0)
     assert (rig.server.state.phase, rig.server.state.reason) == (Phase.HELD, ReasonCode.KRC_LOST)
@@ -461,7 +461,7 @@ def test_a_new_session_changes_no_setpoint_before_a_reset(rig):
     np.testing.assert_array_equal(rig.q, elsewhere + STEP)
 
 
-def test_before_it_is_linked_the_newest_session_is_where_it_begins():
+def test_before_it_is_linked_it_begins_at_the_newest_session():
     server = RobotServer(CELL, "fr", process=1)
     for q in (FR.home, FR.home + 0.1):
         np.testing.assert_array_equal(server.cycle(Measurement(12, q, q_start=q), 0.0), q)
@@ -473,13 +473,13 @@ def test_before_it_is_linked_the_newest_session_is_where_it_begins():
     )
 
 
-def test_a_new_session_is_no_other_reason_to_hold_a_robot_that_is_held(rig):
+def test_a_new_session_does_not_change_the_reason_of_a_hold(rig):
     rig.cycle(stop=ReasonCode.OPERATOR_STOP)
     rig.begin(FR.home)
     assert rig.server.state.reason is ReasonCode.OPERATOR_STOP
 
 
-def test_in_a_new_session_the_robot_has_the_time_again_to_come_where_it_was_sent(rig):
+def test_in_a_new_session_the_settling_time_starts_again(rig):
     for _ in range(LAG + 1):
         rig.cycle()
     assert rig.server.at_rest
@@ -490,7 +490,7 @@ def test_in_a_new_session_the_robot_has_the_time_again_to_come_where_it_was_sent
     assert not rig.server.motion_stop
 
 
-def test_a_reset_waits_until_the_robot_is_where_it_was_sent(rig):
+def test_a_reset_waits_until_the_robot_is_at_its_setpoint(rig):
     rig.begin(FR.home + 0.1)
     rig.resets += 1
     rig.q = FR.home + 0.1 + 1.01 * FR.tracking_tolerance
@@ -547,7 +547,7 @@ def test_a_robot_is_not_ready_before_its_crash_brake_is():
 LAG = math.ceil(CELL.gate.servo_lag_s / CELL.cycle_s)
 
 
-def test_a_robot_that_is_not_where_it_was_sent_is_held_once_it_has_had_the_time(rig):
+def test_a_robot_off_its_setpoint_after_settling_is_held(rig):
     rig.run_up(3)
     while any(rig.server.state.dq):
         rig.cycle()
@@ -561,7 +561,7 @@ def test_a_robot_that_is_not_where_it_was_sent_is_held_once_it_has_had_the_time(
     assert not rig.server.motion_stop  # it stands
 
 
-def test_motion_that_goes_on_after_the_setpoint_rests_is_ended_by_the_krc(rig):
+def test_motion_after_the_setpoint_rests_is_ended_by_the_krc(rig):
     rig.run_up(3)
     while any(rig.server.state.dq):
         rig.cycle()
@@ -589,7 +589,7 @@ def test_motion_that_goes_on_after_the_setpoint_rests_is_ended_by_the_krc(rig):
     assert rig.counters["motion_stops"] == 2
 
 
-def test_told_to_end_it_brakes_first_and_rests_when_the_drives_have_caught_up(rig):
+def test_on_a_signal_it_brakes_first_and_rests_when_the_drives_have_settled(rig):
     rig.run_up(3)
     rig.server.end()
     rest = 0
@@ -650,7 +650,7 @@ def test_before_the_mode_is_known_it_is_offline_and_takes_no_admission(unprobed)
     assert unprobed.counters["admission_while_not_ready"] == PROBE_CYCLES - 1
 
 
-def test_a_krc_that_adds_corrections_up_is_held_from_the_first_and_obeys_no_reset(unprobed):
+def test_a_relative_krc_is_held_from_the_start_and_obeys_no_reset(unprobed):
     phases = relative(unprobed, PROBE_CYCLES + 1)
     assert phases == [Phase.OFFLINE] * (PROBE_CYCLES - 1) + [Phase.HELD] * 2
     for _ in range(3):
@@ -669,7 +669,7 @@ def test_a_krc_that_adds_corrections_up_is_held_from_the_first_and_obeys_no_rese
     assert unprobed.cycle().phase is Phase.READY
 
 
-def test_the_mode_of_the_session_before_is_not_why_the_next_is_held_and_each_refused_is_counted(unprobed):
+def test_the_mode_of_an_earlier_session_does_not_hold_the_next(unprobed):
     relative(unprobed, PROBE_CYCLES + 1)
     unprobed.begin(unprobed.q)
     assert unprobed.server.state.reason is ReasonCode.KRC_LOST
@@ -680,9 +680,7 @@ def test_the_mode_of_the_session_before_is_not_why_the_next_is_held_and_each_ref
 
 
 @pytest.mark.parametrize("is_lost", [False, True])
-def test_a_probe_in_which_a_telegram_was_lost_says_nothing_against_a_robot_that_did_not_follow(
-    unprobed, is_lost
-):
+def test_a_probe_with_a_lost_telegram_does_not_blame_a_robot(unprobed, is_lost):
     for count in range(PROBE_CYCLES):
         unprobed.q = FR.home
         unprobed.ipoc += 12 * (is_lost and count == 4)
@@ -698,7 +696,7 @@ def test_a_refused_krc_is_held_after_the_first_message_of_the_gate(unprobed):
     assert unprobed.cycle().reason is ReasonCode.RSI_MODE
 
 
-def test_a_reset_that_is_asked_for_while_a_session_is_probed_is_obeyed_when_its_mode_is_known(rig):
+def test_a_reset_during_a_probe_is_obeyed_when_the_mode_is_known(rig):
     rig.cycle(q_start=rig.q)
     rig.resets += 1
     for _ in range(PROBE_CYCLES - 1):
@@ -707,7 +705,7 @@ def test_a_reset_that_is_asked_for_while_a_session_is_probed_is_obeyed_when_its_
     assert rig.cycle().phase is Phase.READY
 
 
-def test_a_reset_that_was_asked_for_while_nothing_was_seen_to_move_is_not_obeyed_some_day(rig):
+def test_a_reset_during_an_unanswered_probe_is_not_obeyed_later(rig):
     rig.cycle(q_start=rig.q)
     rig.resets += 1
     for _ in range(PROBE_CYCLES + 1):
@@ -722,7 +720,7 @@ def test_a_reset_that_was_asked_for_while_nothing_was_seen_to_move_is_not_obeyed
     assert rig.cycle().phase is Phase.READY
 
 
-def test_a_robot_whose_krc_ticks_otherwise_in_motion_is_held_and_obeys_a_reset_once_it_does_not(rig):
+def test_a_krc_with_a_changed_cycle_in_motion_is_held_until_it_is_correct(rig):
     rig.run_up(3)
     rig.resets += 1
     state = rig.cycle(rig.admission(4 * STEP), cycle_fault="every 4 ms")
@@ -762,7 +760,7 @@ def test_a_session_within_the_probe_of_another_is_probed_from_its_beginning(rig)
     assert rig.cycle().phase is Phase.READY
 
 
-def test_a_robot_that_moves_though_its_correction_rests_is_told_to_end_the_motion(unprobed):
+def test_a_robot_moving_at_constant_correction_gets_the_stop_signal(unprobed):
     for count in range(1, 6):
         unprobed.q = FR.home + count * np.deg2rad(0.05)
         unprobed.cycle()
@@ -772,7 +770,7 @@ def test_a_robot_that_moves_though_its_correction_rests_is_told_to_end_the_motio
     assert unprobed.counters["motion_stops"] == 1
 
 
-def test_told_to_end_within_a_pulse_it_undoes_it_before_it_is_at_rest(unprobed):
+def test_on_a_signal_within_a_pulse_it_undoes_the_pulse_first(unprobed):
     total = np.zeros(6)
     for _ in range(4):
         unprobed.cycle()
@@ -799,12 +797,12 @@ def rested(cycles):
     return settling
 
 
-def test_it_is_at_rest_when_the_drives_have_had_the_time_and_no_cycle_before():
+def test_it_is_at_rest_exactly_after_the_lag_of_the_drives():
     assert [rested(cycles).at_rest for cycles in range(6)] == [False] * 4 + [True] * 2
     assert not rested(9).sent(moves=True).at_rest
 
 
-def test_how_long_it_has_rested_is_counted_no_further_than_it_matters():
+def test_the_count_of_cycles_at_rest_is_bounded():
     assert rested(50) == rested(4)
 
 
@@ -816,7 +814,7 @@ def test_two_places_are_near_up_to_the_tolerance_of_each_joint():
     assert not settling.is_near(np.array([-0.51, 0.0]), HERE)
 
 
-def test_it_goes_on_if_it_leaves_where_it_was_when_its_drives_had_had_the_time():
+def test_motion_after_settling_is_detected():
     before = rested(3).measured(HERE)
     assert before.q_settled is None
     assert not before.goes_on(10 * TOLERANCE)
@@ -836,7 +834,7 @@ def test_each_phase_and_event_has_at_most_one_row():
     assert len(rows) == len(set(rows))
 
 
-def test_held_is_left_by_reset_only():
+def test_only_a_reset_ends_a_hold():
     for event in Event:
         left = next_phase(Phase.HELD, event) is not Phase.HELD
         assert left == (event is Event.RESET)

@@ -51,7 +51,7 @@ def bench():
         sender.close()
 
 
-def test_of_telegrams_that_waited_the_newest_is_taken_and_the_others_are_counted(bench):
+def test_of_waiting_telegrams_the_newest_is_taken_and_the_others_counted(bench):
     bench.believe()
     for number in range(20):
         bench.krc.send(telegram(1048 + 12 * number))
@@ -59,7 +59,7 @@ def test_of_telegrams_that_waited_the_newest_is_taken_and_the_others_are_counted
     assert bench.counters["telegrams_skipped"] == 19
 
 
-def test_a_flood_from_others_hides_no_telegram(bench):
+def test_a_flood_of_foreign_datagrams_hides_no_telegram(bench):
     bench.believe()
     bench.krc.send(telegram(1048))
     for _ in range(100):
@@ -69,7 +69,7 @@ def test_a_flood_from_others_hides_no_telegram(bench):
     assert f"a second KRC at 127.0.0.1:{bench.other.getsockname()[1]}" in bench.server.detail
 
 
-def test_rubbish_from_the_krcs_own_port_hides_no_telegram_before_it(bench):
+def test_garbage_from_the_port_of_the_krc_hides_no_earlier_telegram(bench):
     bench.believe()
     bench.krc.send(telegram(1048))
     for rubbish in (b"", b"<Rob", b"x" * 60_000, b"\x00" * 4097):
@@ -78,7 +78,7 @@ def test_rubbish_from_the_krcs_own_port_hides_no_telegram_before_it(bench):
     assert bench.counters["telegrams_garbled"] == 4
 
 
-def test_of_implausible_telegrams_the_first_is_told_with_joint_value_and_bound(bench, caplog):
+def test_the_first_implausible_telegram_is_logged_with_joint_value_and_bound(bench, caplog):
     bench.believe()
     for count, off in enumerate((9.0, -9.0)):
         bench.krc.send(telegram(1048 + 12 * count, q=FR.home + off))
@@ -90,7 +90,7 @@ def test_of_implausible_telegrams_the_first_is_told_with_joint_value_and_bound(b
     )
 
 
-def test_a_flood_that_never_ends_is_left_after_a_bound(bench):
+def test_reading_an_endless_flood_ends_at_a_bound(bench):
     reads = []
     sender = bench.krc.getsockname()
     real = bench.server._sock
@@ -125,7 +125,7 @@ def test_a_reply_that_cannot_be_sent_is_counted(bench):
     assert bench.counters["replies_unsent"] == 1
 
 
-def test_it_says_by_how_much_the_ipoc_grows(bench):
+def test_the_status_has_the_step_of_the_ipoc(bench):
     assert bench.server.detail == ""
     assert bench.believe().server.detail == "IPOC grows by 12 a cycle"
 
@@ -136,7 +136,7 @@ def test_an_unknown_address_is_reported():
         KrcSocket(driver, 0.25, SimpleNamespace(), Counter())
 
 
-def test_a_port_that_is_taken_is_told(bench):
+def test_a_used_port_is_reported(bench):
     port = bench.krc.getpeername()[1]
     driver = FR.driver.model_copy(update={"port": port})
     with pytest.raises(ServiceUnreachableError, match=f"cannot listen for RSI on UDP 127.0.0.1:{port}"):
@@ -156,7 +156,7 @@ def test_a_socket_holds_fewer_telegrams_than_are_drained(bench):
     assert 0 < held < MOST_WAITING
 
 
-def test_a_port_that_is_let_go_of_in_time_is_waited_for_and_one_line_says_so(bench, caplog):
+def test_a_port_released_in_time_is_awaited_with_one_log_line(bench, caplog):
     caplog.set_level("INFO")
     driver = FR.driver.model_copy(update={"port": free_ports(1)[0]})
     holder = socket.socket(type=socket.SOCK_DGRAM)
@@ -190,7 +190,7 @@ def start(folder: Path, *edits: tuple[str, str]) -> subprocess.Popen[str]:
 
 
 @pytest.mark.long
-def test_unsafe_files_end_it_with_status_2_and_every_reason(tmp_path: Path) -> None:
+def test_unsafe_files_end_the_process_with_status_2_and_every_reason(tmp_path: Path) -> None:
     process = start(tmp_path, ('HOLDON="1"', 'HOLDON="0"'), ("ONLYSEND>FALSE", "ONLYSEND>TRUE"))
     try:
         output, errors = process.communicate(timeout=PATIENCE_S)
@@ -206,7 +206,7 @@ def test_unsafe_files_end_it_with_status_2_and_every_reason(tmp_path: Path) -> N
 
 
 @pytest.mark.service
-def test_a_setting_that_makes_an_outage_worse_is_reported_and_it_serves(tmp_path: Path) -> None:
+def test_a_setting_that_worsens_an_outage_is_reported_without_ending_the_process(tmp_path: Path) -> None:
     process = start(tmp_path, ('<ELEMENT TAG="DEF_Delay" TYPE="LONG" INDX="INTERNAL" UNIT="0" />', ""))
     assert process.stdout is not None
     lines = []

@@ -81,7 +81,7 @@ class WatchedDriver(RsiDriver):
 @pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [1, 2])
-def test_in_a_storm_of_telegrams_another_may_take_its_place_at_any_moment(monkeypatch, seed):
+def test_in_a_storm_of_telegrams_a_restored_snapshot_behaves_identically(monkeypatch, seed):
     monkeypatch.setattr(krc_side, "RobotServer", WatchedServer)
     monkeypatch.setattr(krc_side, "RsiDriver", WatchedDriver)
     before = WatchedServer.steps
@@ -91,7 +91,7 @@ def test_in_a_storm_of_telegrams_another_may_take_its_place_at_any_moment(monkey
     assert WatchedServer.steps - before > 300
 
 
-def test_a_server_that_takes_one_message_after_the_other_does_as_one_that_is_handed_all_in_its_cycle():
+def test_messages_one_by_one_and_all_in_one_cycle_have_the_same_effect():
     pieces, whole = (RobotServer(CELL, "fr", process=1) for _ in range(2))
     random_ = random.Random(5)
     q, outputs = FR.home, []

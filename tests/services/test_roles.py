@@ -25,7 +25,7 @@ def secret(folder: Path, text: str = OPERATOR, mode: int = 0o600) -> str:
 
 
 @pytest.mark.parametrize("place", OFF_LOOPBACK)
-def test_off_the_loopback_an_open_realm_does_not_exist_unless_the_cell_says_so(place: dict[str, str]) -> None:
+def test_beyond_the_loopback_an_open_realm_needs_permission_of_the_cell(place: dict[str, str]) -> None:
     with pytest.raises(GivenTokenError, match=next(iter(place))):
         client_roles(small_cell(**place), {"DELTAQ_OPERATOR_TOKEN": OPERATOR})
     allowed = small_cell(**place, anyone_who_connects_may_move_the_robots=True)
@@ -46,15 +46,13 @@ def test_off_the_loopback_an_open_realm_does_not_exist_unless_the_cell_says_so(p
         ({"DELTAQ_OPERATOR_TOKEN_FILE": "/nowhere"}, "/nowhere cannot be read"),
     ],
 )
-def test_a_cell_whose_clients_need_tokens_says_what_is_missing(
-    environment: dict[str, str], said: str
-) -> None:
+def test_a_cell_that_needs_tokens_names_the_missing_ones(environment: dict[str, str], said: str) -> None:
     with pytest.raises(GivenTokenError, match=said):
         client_roles(small_cell(tcp_address="0.0.0.0", clients_need_tokens=True), environment)
 
 
 @pytest.mark.parametrize(("text", "mode"), [(OPERATOR, 0o644), ("", 0o600), (" \n", 0o600)])
-def test_a_file_that_is_no_secret_is_refused_and_not_shown(tmp_path: Path, text: str, mode: int) -> None:
+def test_an_invalid_secret_file_is_refused_without_showing_it(tmp_path: Path, text: str, mode: int) -> None:
     with pytest.raises(GivenTokenError, match=r"token (has mode 0644|holds no text)") as refused:
         client_roles(small_cell(), {"DELTAQ_OPERATOR_TOKEN_FILE": secret(tmp_path, text, mode)})
     assert OPERATOR not in str(refused.value)
@@ -83,14 +81,14 @@ def test_tokens_do_not_cross_a_network_in_the_clear() -> None:
     assert line_encryption(small_cell(clients_need_tokens=True), {}) is None
 
 
-def test_with_an_operator_alone_everybody_else_is_a_controller_and_without_one_an_operator() -> None:
+def test_with_an_operator_token_alone_others_are_controllers_and_without_one_operators() -> None:
     assert ClientRoles(OPERATOR).of(None) is ClientRole.CONTROLLER
     assert ClientRoles(OPERATOR).is_wrong("guessed")
     assert ClientRoles().of("anything") is ClientRole.OPERATOR
     assert not ClientRoles().is_wrong("anything")
 
 
-def test_few_wrong_tokens_of_an_address_are_compared_and_those_of_another_are_not_kept_waiting() -> None:
+def test_few_wrong_tokens_of_an_address_are_compared_without_delaying_other_addresses() -> None:
     tries, compared = Tries(), 0
     for k in range(10_000):
         if tries.may_try("192.0.2.1", k * 1e-3):
@@ -101,7 +99,7 @@ def test_few_wrong_tokens_of_an_address_are_compared_and_those_of_another_are_no
     assert tries.may_try("192.0.2.1", 11.0)
 
 
-def test_a_flood_of_addresses_leaves_no_more_behind_than_a_few() -> None:
+def test_a_flood_of_addresses_uses_bounded_memory() -> None:
     tries = Tries()
     for k in range(5000):
         tries.failed(f"192.0.2.{k}", 0.0)

@@ -27,7 +27,7 @@ def krc():
     return KrcSide().begin()
 
 
-def test_a_session_is_believed_after_telegrams_that_agree_and_until_then_nothing_is_corrected():
+def test_a_session_is_believed_after_agreeing_telegrams_without_correction_until_then():
     krc = KrcSide()
     for _ in range(CONFIRMATIONS - 1):
         np.testing.assert_array_equal(krc.cycle().correction, np.zeros(6))
@@ -37,7 +37,7 @@ def test_a_session_is_believed_after_telegrams_that_agree_and_until_then_nothing
     np.testing.assert_allclose(krc.server.state.q_cmd, FR.home, atol=1e-6)
 
 
-def test_a_robot_that_moves_before_its_first_session_is_waited_for():
+def test_a_session_waits_for_a_moving_robot():
     krc = KrcSide()
     for count in range(2 * CONFIRMATIONS):
         krc.cycle(q=FR.home + count * 0.1 * STEP)
@@ -45,7 +45,7 @@ def test_a_robot_that_moves_before_its_first_session_is_waited_for():
     assert krc.server.state is None
 
 
-def test_the_session_goes_on_over_telegrams_that_were_lost(krc):
+def test_a_session_survives_lost_telegrams(krc):
     krc.tick(5)
     assert krc.cycle() is not None
     assert krc.counters["session_restarted"] == 0
@@ -91,7 +91,7 @@ def test_a_forged_session_is_not_believed_even_where_the_true_krcs_telegrams_are
     assert krc.counters["session_restarted"] == 0
 
 
-def test_a_burst_of_telegrams_that_agree_is_no_session_since_no_krc_can_hurry():
+def test_a_fast_burst_of_agreeing_telegrams_is_no_session():
     krc = KrcSide()
     krc.tick()
     for count in range(10):
@@ -99,7 +99,7 @@ def test_a_burst_of_telegrams_that_agree_is_no_session_since_no_krc_can_hurry():
     assert krc.driver.session.belief is Belief.UNKNOWN
 
 
-def test_a_telegram_of_a_new_rsi_session_is_not_answered_with_a_leap_back(krc):
+def test_a_new_rsi_session_is_not_answered_with_a_jump_back(krc):
     krc.drive()
     assert krc.hand(KRC.encode_ipoc_only(krc.ipoc)) is None
     before = krc.correction
@@ -108,7 +108,7 @@ def test_a_telegram_of_a_new_rsi_session_is_not_answered_with_a_leap_back(krc):
 
 
 @pytest.mark.parametrize("leap", [-5000, 7, 12 * 5000])
-def test_an_ipoc_that_leaps_for_good_is_another_session_that_stands_where_it_stood(krc, leap):
+def test_a_permanently_jumping_ipoc_is_another_session_at_the_same_place(krc, leap):
     krc.drive()
     before = krc.correction
     krc.ipoc += leap
@@ -130,7 +130,7 @@ def test_a_clock_set_back_a_little_moves_nothing_until_it_has_caught_up(krc):
     assert krc.driver.session.belief is Belief.BELIEVED
 
 
-def test_a_telegram_that_comes_twice_or_late_is_not_answered_and_ends_no_session(krc):
+def test_repeated_and_late_telegrams_are_not_answered_and_end_no_session(krc):
     before = krc.own()
     krc.cycle()
     assert krc.hand(krc.own()) is None
@@ -177,7 +177,7 @@ def cell_with(**fields):
     return CELL.model_copy(update={"robots": robots})
 
 
-def test_of_a_step_that_the_cell_gives_no_other_is_believed():
+def test_with_a_configured_ipoc_step_no_other_is_believed():
     krc = KrcSide(step=12, cell=cell_with(ipoc_step=1)).begin()
     assert krc.driver.session.belief is Belief.UNKNOWN
     krc = KrcSide(step=1, cell=cell_with(ipoc_step=1)).begin()
@@ -195,7 +195,7 @@ def test_a_program_started_again_elsewhere_is_a_session_without_correction(krc):
     np.testing.assert_array_equal(krc.probed().correction, np.zeros(6))
 
 
-def test_a_program_that_drove_home_before_it_started_again_is_not_sent_its_old_correction(krc):
+def test_a_program_restarted_at_home_does_not_get_its_old_correction(krc):
     krc.drive()
     krc.tick(200)
     krc.correction = np.zeros(6)
@@ -205,7 +205,7 @@ def test_a_program_that_drove_home_before_it_started_again_is_not_sent_its_old_c
     np.testing.assert_array_equal(krc.probed().correction, np.zeros(6))
 
 
-def test_a_session_that_stands_where_nothing_explains_it_is_not_answered(krc):
+def test_a_session_at_an_unexplained_place_is_not_answered(krc):
     krc.drive()
     krc.tick(200)
     for _ in range(20):
@@ -233,7 +233,7 @@ def test_one_flipped_digit_of_the_programmed_position_moves_nothing(krc):
 
 
 @pytest.mark.parametrize("ipoc", [2**32, 123645634563, 10**20 - 1])
-def test_a_stamp_of_more_than_32_bit_is_implausible_and_gets_no_answer(krc, ipoc):
+def test_an_ipoc_beyond_32_bit_is_implausible_and_gets_no_answer(krc, ipoc):
     own = krc.codec.encode_ipoc_only(krc.ipoc)
     for datagram in (krc.own(), own):
         assert krc.hand(datagram.replace(b"%d<" % krc.ipoc, b"%d<" % ipoc)) is None
@@ -257,7 +257,7 @@ def test_without_the_programmed_position_a_session_begins_where_the_robot_is_and
 
 
 @pytest.mark.parametrize("flipped", [b"AIPos", b"Delay"])
-def test_without_it_no_other_flipped_digit_moves_the_robot_either(tmp_path, flipped):
+def test_without_the_programmed_position_no_flipped_digit_moves_the_robot(tmp_path, flipped):
     xml = tmp_path / "without.xml"
     xml.write_text(re.sub(r".*DEF_ASPos.*\n", "", XML.read_text()))
     krc = KrcSide(xml=xml).begin().drive()
@@ -284,9 +284,7 @@ def test_without_it_no_other_flipped_digit_moves_the_robot_either(tmp_path, flip
         (40.0, r"a1 cannot have moved so far in 1 cycles: 0\.69\d+, allowed 0\.0525088 "),
     ],
 )
-def test_a_position_that_cannot_be_true_is_counted_told_and_answered_with_the_last_correction(
-    krc, off_deg, why
-):
+def test_an_implausible_position_is_counted_logged_and_answered_with_the_last_correction(krc, off_deg, why):
     krc.drive()
     before, state = krc.correction, krc.server.state
     told_why = []
@@ -315,7 +313,7 @@ def test_outputs_stay_on_in_answers_that_move_nothing():
     assert krc.cycle(q=FR.home + 10 * STEP).outputs == {"stop": False}
 
 
-def test_a_delay_that_grew_says_that_the_last_reply_was_missed(krc):
+def test_a_grown_delay_means_a_missed_reply(krc):
     krc.cycle(delay=3)
     for delay, missed in ((3, False), (4, True), (4, False)):
         krc.tick()
@@ -332,7 +330,7 @@ def test_the_first_telegram_of_a_kr_c2_is_answered_with_no_correction():
     assert krc.driver.session.belief is Belief.BELIEVED
 
 
-def test_a_setpoint_that_leaps_is_not_sent_and_holds_the_robot(krc):
+def test_a_jumping_setpoint_is_not_sent_and_holds_the_robot(krc):
     krc.tick()
     assert krc.driver.read(krc.own(), krc.time_s) is not None
     told = KRC.decode(krc.driver.reply(krc.driver.q_sent + 3 * STEP, {}))
@@ -360,7 +358,7 @@ def test_an_invalid_telegram_is_an_error_and_changes_nothing(krc):
     assert krc.counters["session_restarted"] == 0
 
 
-def test_a_krc_that_comes_back_after_another_one_was_believed_still_has_its_correction():
+def test_a_krc_that_returns_after_another_still_has_its_correction():
     krc = KrcSide().begin()
     krc.cycle(krc.admission(0.05 * MAX_DV))
     for _ in range(20):
@@ -385,7 +383,7 @@ def test_a_krc_that_comes_back_after_another_one_was_believed_still_has_its_corr
 
 
 @pytest.mark.parametrize("cycles_of_pulse", [1, 2, 3])
-def test_sessions_that_cut_a_probe_short_again_and_again_walk_the_robot_nowhere(krc, cycles_of_pulse):
+def test_repeatedly_interrupted_probes_do_not_displace_the_robot(krc, cycles_of_pulse):
     krc.drive()
     before, reached = krc.q.copy(), []
     for session in range(1, 13):
@@ -405,7 +403,7 @@ def test_sessions_that_cut_a_probe_short_again_and_again_walk_the_robot_nowhere(
     np.testing.assert_allclose(krc.server.state.q_cmd, before, atol=1e-8)
 
 
-def test_a_pulse_that_was_cut_short_is_undone_when_its_session_comes_back_after_another(krc):
+def test_an_interrupted_pulse_is_undone_when_its_session_returns(krc):
     krc.drive()
     before, programmed, correction = krc.q.copy(), krc.q_programmed.copy(), krc.correction.copy()
     krc.ipoc += 1_000_000
@@ -424,7 +422,7 @@ def test_a_pulse_that_was_cut_short_is_undone_when_its_session_comes_back_after_
     np.testing.assert_allclose(krc.q, before, atol=1e-8)
 
 
-def test_a_reply_that_is_refused_within_a_pulse_does_not_make_the_pulse_part_of_where_the_robot_is_held(krc):
+def test_a_reply_refused_within_a_pulse_does_not_add_the_pulse_to_the_held_setpoint(krc):
     krc.drive()
     before = krc.q.copy()
     krc.ipoc += 1_000_000
@@ -508,7 +506,7 @@ def test_a_faster_ipoc_is_a_fault_with_the_first_telegram_of_a_session():
     assert meter.fault == ""
 
 
-def test_a_step_that_the_cell_gives_says_nothing_of_time():
+def test_a_configured_ipoc_step_contains_no_time():
     assert metered(0.012, 4, every(0.012, 2.0), given=4).known
     assert "ticks every 4.0 ms by the clock" in metered(0.012, 4, every(0.004, 2.0), given=4).fault
 
@@ -521,7 +519,7 @@ def test_the_cycle_is_known_after_one_window_at_its_pace_and_no_sooner():
     assert not metered(0.012, 12, hurried).known
 
 
-def test_a_krc_that_ticks_faster_all_at_once_is_a_fault_before_it_gains_half_a_second():
+def test_a_suddenly_faster_krc_is_a_fault_before_it_gains_half_a_second():
     meter = metered(0.012, 1, every(0.012, 10.0))
     time_s, gained_s = 15.0 + 0.012, 0.0
     meter.tick(1, time_s)
@@ -558,7 +556,7 @@ def test_jitter_bursts_and_pauses_are_no_fault(cycle_s, seed):
     assert metered(cycle_s, step, times).known
 
 
-def test_telegrams_that_were_lost_or_read_together_count_as_the_cycles_that_they_are():
+def test_lost_and_jointly_read_telegrams_count_as_their_cycles():
     meter = metered(0.004, 4, every(0.012, 4.0), ticks=3)
     assert (meter.known, meter.fault) == (True, "")
     assert meter.detail == "a telegram every 4.0 ms"
@@ -570,7 +568,7 @@ def test_slow_by_ipoc_and_clock_for_a_moment_is_no_fault():
     assert not metered(0.004, 12, slow).known
 
 
-def test_slow_moments_with_others_between_them_are_no_fault():
+def test_separate_slow_moments_are_no_fault():
     meter, time_s = CycleMeter(0.004, SILENCE_S, None), 5.0
     meter.begin(12, time_s)
     for window in range(4 * SLOW_WINDOWS):

@@ -108,7 +108,7 @@ def test_a_telegram_is_answered_once_and_decided_on_once(rig):
 
 
 @pytest.mark.parametrize("topic", [topics.ADMISSION, topics.SUPERVISION])
-def test_messages_that_wait_are_opened_before_the_answer(rig, topic):
+def test_waiting_messages_are_opened_before_the_answer(rig, topic):
     session = open_watching_session(CELL, "robot-server-fr")
     came = threading.Event()
     watching = rig.link._session.declare_subscriber(topic.key(CELL.cell, robot="fr"), lambda _: came.set())

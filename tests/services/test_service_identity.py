@@ -85,7 +85,7 @@ async def test_no_service_starts_when_its_certificate_is_out_of_date(model, tmp_
         start()
 
 
-def test_a_folder_of_another_cell_is_told(cell, tmp_path):
+def test_a_folder_of_another_cell_is_reported(cell, tmp_path):
     with pytest.raises(
         IdentityError,
         match=f"is an identity of cell other, and this is cell {cell.cell}; `deltaq keys --cell CELL",
@@ -110,7 +110,7 @@ def test_an_observer_may_show_any_identity_of_the_cell(cell, folder):
     assert settings["connect_certificate"] == str(folder / "operator-desk" / "certificate.pem")
 
 
-def test_the_last_thirty_days_are_told_at_the_start_and_a_service_starts(cell, tmp_path, caplog):
+def test_in_the_last_thirty_days_a_service_starts_with_a_warning(cell, tmp_path, caplog):
     assert tls_settings(cell, make(tmp_path / "old", age=710 * DAY), "sim")
     [record] = caplog.records
     assert "sim/certificate.pem is valid for 19 more days, until" in record.getMessage()

@@ -19,7 +19,7 @@ def rig():
     return Rig()
 
 
-def test_a_dry_run_says_what_the_gate_would_and_changes_nothing(rig):
+def test_a_dry_run_gives_the_verdict_of_the_gate_and_changes_nothing(rig):
     before = rig.sim.snapshot()
     reply = rig.command(kind="dry_run", robot="fr", dq=SMALL)
     assert reply.accepted
@@ -55,7 +55,7 @@ def told(sim, **fields):
     return output.message.accepted, output.message.code, output.message.message
 
 
-def test_the_reply_to_a_dry_run_says_in_words_what_is_in_its_way(rig):
+def test_the_reply_to_a_dry_run_explains_its_limit(rig):
     fields = {"kind": "dry_run", "robot": "fr", "dq": SMALL}
     shape = (False, ReasonCode.BAD_SHAPE, "dq has 7 elements, not 6")
     assert told(rig.sim, **fields | {"dq": (0.0,) * 7}) == shape
@@ -77,7 +77,7 @@ def test_the_reply_to_a_dry_run_says_in_words_what_is_in_its_way(rig):
     assert told(rig.sim, **fields)[1] is ReasonCode.STOPPED
 
 
-def test_a_new_gate_decides_nothing_before_it_knows_every_setpoint_that_the_drives_may_be_at(rig):
+def test_a_new_gate_decides_nothing_before_it_knows_the_setpoints_of_the_lag(rig):
     sim = Sim(CELL, epoch=5)
     cycles = sim.robots["fr"].tracker.drives.lag + 1
     for cycle in range(1, cycles + 1):
@@ -152,7 +152,7 @@ def test_only_robots_of_the_contact_are_slowed(rig):
     assert rig.sim.contacts.speed("fr") == (1.0, "")
 
 
-def test_a_contact_that_the_cell_does_not_have_is_refused(rig):
+def test_an_unknown_contact_is_refused(rig):
     for contact, said in (("handshake", "'handshake'"), (None, "None")):
         refused = (False, ReasonCode.MALFORMED, f"no contact {said} here")
         assert told(rig.sim, kind="contact", contact=contact, allowed=True) == refused
@@ -202,7 +202,7 @@ def refusal(rig, command):
 
 
 @pytest.mark.parametrize("fields", ANY, ids=lambda fields: fields["kind"])
-def test_a_command_that_comes_again_is_refused_and_changes_nothing(rig, fields):
+def test_a_repeated_command_is_refused_and_changes_nothing(rig, fields):
     command = bound(rig.sim, **fields)
     assert all(reply.accepted for reply in replies(rig, command))
     before = rig.sim.snapshot()
@@ -238,7 +238,7 @@ def test_a_reset_that_a_stop_overtook_is_refused(rig):
 
 
 @pytest.mark.parametrize("changes", [{"id": 0}, {"epoch": 4}, {"cycles": {}}, {"cycles": {"fr": 0, "gr": 0}}])
-def test_a_stop_is_obeyed_whenever_it_comes_and_however_often(rig, changes):
+def test_late_and_repeated_stops_are_obeyed(rig, changes):
     rig.command(kind="io", robot="gr")
     stop = bound(rig.sim, **{"kind": "stop"} | changes)
     for _ in range(2):
@@ -263,7 +263,7 @@ def test_a_command_for_a_gate_that_has_ended_is_refused(rig, fields):
 
 
 @pytest.mark.parametrize("fields", ANY, ids=lambda fields: fields["kind"])
-def test_a_command_that_was_kept_back_for_longer_than_an_increment_may_be_is_stale(rig, fields):
+def test_a_command_delayed_beyond_the_greatest_age_is_stale(rig, fields):
     in_time, late = (bound(rig.sim, id=id_, **fields) for id_ in (1, 2))
     for _ in range(MAX_AGE_CYCLES):
         rig.cycle()
@@ -275,7 +275,7 @@ def test_a_command_that_was_kept_back_for_longer_than_an_increment_may_be_is_sta
     assert said == f"refers to cycle {seen} of {fields.get('robot', 'fr')}, which is at {rig.state.cycle}"
 
 
-def test_a_command_must_tell_the_cycles_of_the_robots_that_it_concerns_and_of_no_others(rig):
+def test_a_command_must_have_the_cycles_of_exactly_its_robots(rig):
     rig.cycle()
     cycles = {name: server.state.cycle for name, server in rig.servers.items()}
     of_fr = {"fr": cycles["fr"], "gr": 0}
@@ -292,7 +292,7 @@ def test_a_command_names_no_cycle_of_a_robot_without_a_state():
     assert reply.accepted
 
 
-def test_a_gate_that_recalls_another_s_memory_refuses_what_that_one_has_taken(rig):
+def test_a_restored_gate_refuses_commands_that_the_former_one_took(rig):
     command = bound(rig.sim, kind="io", robot="gr")
     rig.sim.on_command(command)
     heir = Sim(CELL, epoch=9)

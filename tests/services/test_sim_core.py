@@ -74,13 +74,13 @@ def test_a_robot_off_its_path_is_held_and_not_reset_before_it_is_back(rig):
     assert rig.state.phase is Phase.READY
 
 
-def test_a_silent_krc_is_a_standing_cause(rig):
+def test_a_silent_krc_is_a_persistent_cause(rig):
     rig.servers["fr"].krc_silent(rig.time_s + 1)
     rig.deliver(rig.sim.on_state(rig.state))
     assert rig.command(kind="reset", robot="fr").code is ReasonCode.CAUSE_STANDS
 
 
-def test_retreat_leads_out_of_a_violation_slowly_and_not_further_in():
+def test_a_retreat_leaves_a_violation_slowly_and_never_deepens_it():
     too_near = CELL.robots["fr"].home.copy()
     too_near[1] = np.deg2rad(21.6)  # brings link 3 within the stop distance of the floor
     rig = Rig(fr=too_near)
@@ -170,13 +170,13 @@ def test_a_restarted_robot_server_is_held_until_a_reset(rig):
 # The gate's fingerprint: which code it is of.
 
 
-def test_the_code_of_a_package_is_that_of_the_packages_in_it_too() -> None:
+def test_the_fingerprint_of_a_package_covers_its_subpackages() -> None:
     root = Path(deltaq_cell.__file__)
     found = {file.relative_to(root.parent).as_posix() for file in code_files(root)}
     assert {"proximity.py", "kernel/look.py", "kernel/gap.py", "description/cell.py"} <= found
 
 
-def test_the_code_of_a_module_is_its_file_alone() -> None:
+def test_the_fingerprint_of_a_module_covers_its_file_alone() -> None:
     brake = Path(deltaq_protocol.brake.__file__)
     assert code_files(brake) == [brake]
 
@@ -213,7 +213,7 @@ def test_every_message_goes_to_its_own_handler_and_is_counted(rig):
         rig.sim.take(Health(service="hli", healthy=True, time_s=0.0))
 
 
-def test_a_gate_begins_with_nothing():
+def test_a_new_gate_has_no_memory():
     sim = Sim(CELL, epoch=5)
     assert (sim.epoch, sim.taken, sim.counters) == (5, 0, {})
     assert sim.snapshot().sequence == 0
@@ -266,7 +266,7 @@ def test_a_repeated_state_can_show_that_a_reset_is_done(rig):
     assert done[1:] == [ToTopic(topics.COMMAND_REPLY, "", CommandReply(id=17, accepted=True))]
 
 
-def test_a_state_that_was_overtaken_is_supervised_as_the_newest(rig):
+def test_an_overtaken_state_is_answered_with_the_newest_supervision(rig):
     overtaken = rig.state
     rig.cycle()
     (supervised,) = rig.sim.on_state(overtaken)
@@ -300,7 +300,7 @@ def test_a_restarted_robot_server_is_stopped_and_its_cycles_count_from_one(rig):
     assert rig.sim.on_request(ask(rig, seq=2, cycle=decided))[-1].message.outcome is Outcome.ADMITTED
 
 
-def test_a_sign_of_life_is_no_request(rig):
+def test_a_heartbeat_is_no_request(rig):
     assert rig.sim.on_request(Request(robot="fr", cycle=rig.state.cycle, lease_epoch=1)) == []
 
 
@@ -322,7 +322,7 @@ def test_admissions_to_one_robot_and_the_other_are_numbered_together(rig):
     assert (first.sequence, second.sequence) == (1, 2)
 
 
-def test_a_request_that_is_admitted_is_told_so_without_a_receipt(rig):
+def test_an_admitted_request_gets_a_verdict_without_receipt(rig):
     state = rig.state
     output = rig.sim.on_request(ask(rig, seq=4, cycle=state.cycle - 2))[-1]
     verdict = output.message
@@ -335,7 +335,7 @@ def test_a_request_that_is_admitted_is_told_so_without_a_receipt(rig):
     assert rig.sim.counters["admitted"] == 1
 
 
-def test_a_request_that_is_scaled_is_told_by_how_much_and_why(rig):
+def test_a_scaled_request_gets_its_fraction_and_reason(rig):
     for count in (1, 2):
         admission, verdict = rig.sim.on_request(ask(rig, seq=count, dq=tuple((4 * MAX_DV).tolist())))
         scaled = verdict.message
@@ -353,7 +353,7 @@ def test_a_request_that_is_scaled_is_told_by_how_much_and_why(rig):
     ) == (2, 2)
 
 
-def test_a_request_that_is_held_gets_a_receipt_and_no_admission():
+def test_a_held_request_gets_a_receipt_and_no_admission():
     rig = Rig(fr=TOO_NEAR)
     before = rig.sim.snapshot().receipt
     outputs = rig.sim.on_request(ask(rig, dq=DOWN))
@@ -388,7 +388,7 @@ def test_of_several_reasons_the_first_is_counted(rig):
     ) == (1, 0)
 
 
-def test_where_there_are_no_two_bodies_no_clearance_is_told(rig):
+def test_without_two_bodies_no_clearance_is_reported(rig):
     rig.sim.gate = Otherwise(rig.sim.gate, binding=None)
     verdict = rig.sim.on_request(ask(rig))[-1].message
     assert verdict.outcome is Outcome.ADMITTED
@@ -418,7 +418,7 @@ def test_nothing_is_admitted_to_a_robot_server_that_follows_another_gate(rig):
     assert verdict.reasons == (Reason(code=ReasonCode.NOT_READY, what="gate epoch"),)
 
 
-def test_a_robot_that_may_not_move_is_told_that_before_all_else(rig):
+def test_the_first_reason_for_a_robot_that_may_not_move_is_its_phase(rig):
     rig.sim.on_state(next_state(rig, epoch=4, phase=Phase.HELD))
     assert rig.sim.on_request(ask(rig))[-1].message.reasons == (Reason(code=ReasonCode.STOPPED),)
     alone = Sim(CELL, epoch=5)
@@ -460,7 +460,7 @@ def test_commands_are_counted_by_kind(rig):
     )
 
 
-def test_a_stop_refuses_the_request_that_waits_and_that_one_only(rig):
+def test_a_stop_refuses_only_the_waiting_request(rig):
     rig.sim.on_request(ask(rig, seq=1))
     rig.sim.on_request(ask(rig, seq=2))  # waits for the next state
     stopped = rig.sim.on_command(Command(id=8, kind="stop"))
@@ -475,7 +475,7 @@ def test_from_the_moment_of_a_stop_nothing_is_admitted(rig):
     assert rig.sim.on_request(ask(rig))[-1].message.reasons == (Reason(code=ReasonCode.STOPPED),)
 
 
-def test_a_reset_that_is_refused_says_so_for_each_robot(rig):
+def test_a_refused_reset_is_reported_for_each_robot(rig):
     rig.sim.on_command(Command(id=8, kind="stop"))
     replies = [output.message for output in rig.sim.on_command(bound(rig.sim, id=9, kind="reset"))]
     assert [(reply.id, reply.accepted, reply.code) for reply in replies] == [
@@ -497,7 +497,7 @@ def test_the_last_decision_and_violations_are_restored_too():
     assert heir.snapshot() == memory
 
 
-def test_a_gate_that_recalls_another_s_memory_gives_its_answers(rig):
+def test_a_restored_gate_gives_the_same_answers(rig):
     rig.request(seq=3, lease_epoch=2)
     rig.cycle()
     rig.request(seq=4, lease_epoch=2)
@@ -549,7 +549,7 @@ def test_the_nearest_pair_is_of_robots_with_a_state(rig):
         ),
     ],
 )
-def test_the_nearest_pair_is_that_of_the_setpoints_wherever_the_drives_are(rig, fr, gr, pair):
+def test_the_nearest_pair_is_measured_at_the_setpoints(rig, fr, gr, pair):
     here = {"fr": np.array(fr), "gr": np.array(gr)}
     sim = Sim(CELL, epoch=5)
     for name, q in here.items():

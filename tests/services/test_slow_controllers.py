@@ -79,7 +79,7 @@ def run_slowly(script: Path, *arguments: str) -> list[dict[str, Any]]:
 
 
 @pytest.mark.service
-def test_the_socket_example_takes_up_every_line_though_it_computes_for_longer_than_a_cycle(
+def test_the_socket_example_handles_every_line_despite_slow_computation(
     server: Server, given: list[int]
 ) -> None:
     port = str(server.description.tcp_port)
@@ -87,7 +87,7 @@ def test_the_socket_example_takes_up_every_line_though_it_computes_for_longer_th
 
 
 @pytest.mark.service
-def test_the_controller_of_the_faults_takes_up_every_line_though_it_computes_for_longer_than_a_cycle(
+def test_the_controller_of_the_fault_table_handles_every_line_despite_slow_computation(
     monkeypatch: pytest.MonkeyPatch, given: list[int]
 ) -> None:
     taken: list[dict[str, Any]] = []

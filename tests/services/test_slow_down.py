@@ -43,7 +43,7 @@ def with_band(folder, distance_m):
 @pytest.mark.by_day(1)
 @pytest.mark.long
 @pytest.mark.parametrize("robot", ["fr", "gr"])
-def test_within_the_band_approach_is_slowed_in_proportion_to_the_room_and_parting_is_not(tmp_path, robot):
+def test_within_the_band_approach_is_slowed_in_proportion_and_departure_is_not(tmp_path, robot):
     rig = Rig(CellModel.load(with_band(tmp_path, BAND_M)))
     model, cycle_s = CELL.robots[robot], CELL.description.cycle_s
     proximity, random = CompiledProximity(CELL), np.random.default_rng(4)
@@ -86,7 +86,7 @@ def test_a_band_inside_the_stop_distance_is_refused_with_value_and_bound(tmp_pat
         load_cell(with_band(tmp_path, 0.04))
 
 
-def test_the_loss_of_distance_is_that_of_a_small_motion():
+def test_the_rate_of_approach_agrees_with_a_small_motion():
     cell = CELL
     proximity, random = CompiledProximity(cell), np.random.default_rng(2)
     checked = 0
@@ -118,7 +118,7 @@ def floor_loss(dq):
     return next(item for item in near if " ".join(item.pair) == FLOOR).per_joint @ dq
 
 
-def test_the_reason_tells_the_speed_of_what_other_limits_leave_and_the_speed_that_is_allowed():
+def test_the_reason_has_the_otherwise_possible_and_the_allowed_speed():
     robot = in_motion("fr", above_the_floor(0.1), 0.08 * DOWN)
     brake, allowed = robot.brake(), SPEED_M_S * 0.1 / (BAND_M - STOP_M)
     assert brake.any()
@@ -137,7 +137,7 @@ def test_a_motion_slowed_by_other_limits_is_left_unchanged():
     assert scale(robot, DOWN, at_most=0.9 * found) == (0.9 * found, [])
 
 
-def test_motion_that_becomes_no_faster_is_left_alone_however_fast_the_brake_is():
+def test_motion_not_faster_than_the_brake_is_not_slowed():
     robot = in_motion("fr", above_the_floor(0.01), DOWN)
     brake = robot.brake()
     assert scale(robot, DOWN)[0] == 0.0
@@ -146,7 +146,7 @@ def test_motion_that_becomes_no_faster_is_left_alone_however_fast_the_brake_is()
     assert scale(robot, 0.5 * brake) == (1.0, [])
 
 
-def test_within_the_stop_distance_nothing_comes_nearer_and_what_is_held_already_gets_no_second_reason():
+def test_within_the_stop_distance_approach_is_held_with_one_reason():
     robot = at_rest("fr", above_the_floor(-2e-3))
     found, (reason,) = scale(robot, DOWN)
     assert (found, reason.what, reason.bound) == (0.0, FLOOR, 0.0)
@@ -154,7 +154,7 @@ def test_within_the_stop_distance_nothing_comes_nearer_and_what_is_held_already_
     assert scale(robot, -DOWN) == (1.0, [])
 
 
-def test_the_tightest_of_several_bodies_binds_whichever_comes_first():
+def test_the_tightest_of_several_bodies_limits_in_any_order():
     here = {"fr": FR_BESIDE_GR, "gr": GR_BESIDE_FR}
     gr, fr = at_rest("gr", with_room(0.01, "gr", here, 4)), at_rest("fr", FR_BESIDE_GR)
     request = one_joint("gr", 4, 0.5 * LIMITS["gr"].max_dq[4])
@@ -165,7 +165,7 @@ def test_the_tightest_of_several_bodies_binds_whichever_comes_first():
     assert reason.bound == pytest.approx(0.5 * SPEED_M_S * 0.01 / (BAND_M - STOP_M), rel=1e-2)
 
 
-def test_the_gate_tells_the_band_where_it_is_tighter_than_the_limits_and_the_limit_where_it_is_not():
+def test_the_gate_reports_the_tighter_of_band_and_limits():
     gate = Gate(PROXIMITY, LIMITS, BAND, Contacts(PROXIMITY, {}), Violations())
     other, request = at_rest("gr", CELL.robots["gr"].home), one_joint("fr", 1, 2 * LIMITS["fr"].max_dv[1])
     for room_m, code in ((0.005, ReasonCode.SLOW_DOWN), (0.1, ReasonCode.ACCELERATION_LIMIT)):

@@ -60,7 +60,7 @@ def driven(loaded: LoadedCell, stamps: Stamps | None) -> StampedCell:
 
 
 @pytest.mark.long
-def test_a_watched_gate_decides_as_it_did(lab: LoadedCell, tmp_path: Path) -> None:
+def test_a_stamping_gate_decides_identically(lab: LoadedCell, tmp_path: Path) -> None:
     stamps = Stamps("sim", ["fr", "gr"], 1000)
     watched, plain = driven(lab, stamps), driven(lab, None)
     assert watched.outputs == plain.outputs
@@ -104,7 +104,7 @@ def test_each_cycle_of_a_robot_server_has_its_outcome(lab: LoadedCell) -> None:
     assert moving[1] is CycleOutcome.FRESH
 
 
-def test_a_held_robot_and_a_missed_reply_are_told_apart(lab: LoadedCell) -> None:
+def test_a_held_robot_and_a_missed_reply_are_distinguished(lab: LoadedCell) -> None:
     state = next(one for one in driven(lab, None).server_states if one.plan.step == 0)
     last = state.model_copy(update={"sequence": state.sequence - 1})
     assert outcome_of(state, last) is CycleOutcome.FRESH

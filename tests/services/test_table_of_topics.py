@@ -163,7 +163,7 @@ def test_a_pace_is_kept_on_average_at_any_rate_of_polling(step_s: float) -> None
     assert sum(pace.due(k * step_s) for k in range(round(10.0 / step_s))) == pytest.approx(100, abs=1)
 
 
-def test_after_a_pause_nothing_is_made_up_for() -> None:
+def test_after_a_pause_no_messages_are_made_up() -> None:
     pace = Pace(0.1)
     assert pace.due(0.0)
     assert [pace.due(60.0 + k * 0.01) for k in range(5)] == [True, False, False, False, False]
@@ -217,7 +217,7 @@ class _Listened:
 _HEALTH_KEY = topics.HEALTH.key("small", service="")
 
 
-def test_signs_of_life_come_at_the_pace_and_as_urgently_as_the_table_says(
+def test_heartbeats_have_the_rate_and_priority_of_the_table(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     listened = _Listened()
@@ -242,7 +242,7 @@ def _pairs_published(core: HliCore) -> int:
     return len(published(outputs, Realm.OPEN))
 
 
-def test_the_nearest_pair_comes_at_the_pace_of_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_nearest_pair_has_the_rate_of_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
     assert _pairs_published(_hli(0.012)[0]) == 100
     change_row(monkeypatch, "PROXIMITY", rate=Hertz(5.0))
     assert _pairs_published(_hli(0.012)[0]) == 50
@@ -255,7 +255,7 @@ def _lagging_at(period_s: float) -> tuple[str, ...]:
     return core.lagging(NOW_S + 199 * period_s)
 
 
-def test_a_stream_that_is_slower_than_the_table_says_lags(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stream_slower_than_the_table_lags(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not [said for said in _lagging_at(0.012) if said.startswith("fr:")]
     assert "fr: server-state at 50.0 Hz, expected 83.3 Hz" in _lagging_at(0.02)
     change_row(monkeypatch, "SERVER_STATE", rate=Hertz(40.0))
@@ -306,7 +306,7 @@ def _overheard_of_another_client() -> tuple[set[str], set[bytes]]:
             session.close()
 
 
-def test_no_client_reads_what_another_sends_nor_speaks_in_the_server_s_stead(
+def test_no_client_reads_messages_of_another_or_publishes_for_the_server(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     assert _overheard_of_another_client() == (set(), {b"HLI"})
@@ -324,7 +324,7 @@ def test_clients_cannot_watch_topics_without_the_right_to_read(monkeypatch: pyte
     assert open_stream("increment") is topics.INCREMENT
 
 
-def test_the_reference_is_written_from_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_reference_agrees_with_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
     before = page("reference/topics.md")
     change_row(monkeypatch, "PROXIMITY", rate=Hertz(7.0), recorded=False)
     (changed,) = set(page("reference/topics.md").splitlines()) - set(before.splitlines())

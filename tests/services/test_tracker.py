@@ -45,14 +45,14 @@ def first_joint(tube):
     return tube.points[:, 0]
 
 
-def test_every_new_cycle_is_taken_in_and_a_repeated_one_is_not(tracker):
+def test_every_new_cycle_is_accepted_and_a_repeated_one_is_not(tracker):
     assert tracker.observe(state(1, 0.1))
     assert tracker.observe(state(2, 0.2))
     assert not tracker.observe(state(2, 0.9))
     np.testing.assert_array_equal(tracker.q_cmd, np.full(6, 0.2))
 
 
-def test_a_repeated_cycle_may_tell_a_new_phase_unless_it_was_overtaken(tracker):
+def test_a_repeated_cycle_may_have_a_new_phase_unless_overtaken(tracker):
     tracker.observe(state(2, time_s=5.0))
     same_time, older = state(2, time_s=5.0), state(2, time_s=4.9)
     tracker.observe(same_time)
@@ -62,7 +62,7 @@ def test_a_repeated_cycle_may_tell_a_new_phase_unless_it_was_overtaken(tracker):
 
 
 @pytest.mark.parametrize("time_s", [4.9, 5.0, 500.0])
-def test_a_state_that_was_overtaken_changes_nothing(tracker, time_s):
+def test_an_overtaken_state_changes_nothing(tracker, time_s):
     newest = state(2, 0.2, time_s=5.0)
     tracker.observe(newest)
     assert not tracker.observe(state(1, 0.1, time_s=time_s))
@@ -101,7 +101,7 @@ def test_no_state_of_an_ended_process_is_taken(tracker):
     assert (tracker.state, tracker.restarted) == (newest, False)
 
 
-def test_of_many_processes_the_last_sixteen_that_ended_are_remembered(tracker):
+def test_the_last_sixteen_ended_processes_are_remembered(tracker):
     for process in range(18):
         tracker.observe(state(10, process=process))
     assert tracker.snapshot().ended_processes == tuple(range(1, 17))
@@ -114,7 +114,7 @@ def is_displaced(tracker, cycles, travel, dq):
     return tracker.displaced
 
 
-def test_a_setpoint_that_its_increment_has_brought_on_is_not_displaced(tracker):
+def test_a_setpoint_moved_by_its_increment_is_not_displaced(tracker):
     assert not is_displaced(tracker, 1, 0.001, 0.001)
 
 
@@ -123,14 +123,12 @@ def test_a_setpoint_is_displaced_by_any_other_travel_than_its_increment(tracker,
     assert is_displaced(tracker, 1, travel, dq)
 
 
-def test_a_setpoint_that_stands_though_an_increment_was_sent_is_not_displaced(tracker):
+def test_a_setpoint_that_missed_its_increment_is_not_displaced(tracker):
     assert not is_displaced(tracker, 1, 0.0, 0.001)  # the KRC missed the reply
 
 
 @pytest.mark.parametrize("unseen", [1, 2, 5])
-def test_in_cycles_that_were_not_heard_a_setpoint_may_have_gone_as_far_as_the_slowest_joint_can(
-    tracker, unseen
-):
+def test_in_unheard_cycles_a_setpoint_may_have_moved_by_the_possible_motion(tracker, unseen):
     slowest = float(np.min(FR.max_velocity)) * CYCLE_S
     assert not is_displaced(tracker, 1 + unseen, 0.001 + (1 + 5e-7) * unseen * slowest, 0.001)
 
@@ -150,7 +148,7 @@ def test_admissions_that_the_next_state_does_not_follow_are_counted_as_missed(tr
     assert tracker.missed == 2
 
 
-def test_an_admission_of_another_epoch_is_not_the_one_that_was_sent(tracker):
+def test_an_admission_of_another_epoch_is_a_different_one(tracker):
     tracker.observe(state(1))
     tracker.admitted(admission(2))
     tracker.observe(state(2, sequence=2, epoch=8))
@@ -163,7 +161,7 @@ def test_the_brake_is_the_next_step_that_the_robot_server_will_send(tracker):
     np.testing.assert_allclose(tracker.brake(), np.full(6, 0.002))
 
 
-def test_until_a_state_confirms_it_an_admission_is_a_second_course(tracker):
+def test_until_a_state_confirms_it_an_admission_is_a_second_candidate_trajectory(tracker):
     tracker.observe(state(1, plan=Plan(dq=(0.004,) * 6, brake_cycles=4, step=1)))
     assert [list(first_joint(tube)) for tube in tracker.tubes()] == [pytest.approx([0.1, 0.102, 0.103])]
     tracker.admitted(admission(2, dq=0.01, brake_cycles=2))
@@ -172,7 +170,7 @@ def test_until_a_state_confirms_it_an_admission_is_a_second_course(tracker):
     np.testing.assert_allclose(first_joint(admitted), [0.1, 0.11, 0.115])
 
 
-def test_the_tubes_of_setpoints_hold_every_course_and_not_where_the_robot_is_measured(tracker):
+def test_tubes_of_setpoints_contain_every_candidate_trajectory_and_not_the_measurement(tracker):
     for cycle in range(1, LAG + 1):
         tracker.observe(state(cycle, 0.1, 0.7, plan=Plan(dq=(0.004,) * 6, brake_cycles=4, step=1)))
     tracker.admitted(admission(2, dq=0.01, brake_cycles=2))
@@ -183,7 +181,7 @@ def test_the_tubes_of_setpoints_hold_every_course_and_not_where_the_robot_is_mea
     assert {tube.drives.lag for tube in tracker.tubes_of_setpoints()} == {LAG - 1}
 
 
-def test_a_robot_stands_still_while_it_is_at_rest_and_nothing_is_on_its_way_to_it(tracker):
+def test_a_robot_stands_still_at_rest_without_admissions_in_flight(tracker):
     for cycle in range(1, LAG + 1):
         tracker.observe(state(cycle, 0.1))
         assert tracker.stands_still() is (cycle == LAG)
@@ -203,27 +201,27 @@ def test_the_tube_begins_with_as_many_setpoints_as_the_drives_lag(tracker):
 
 
 @pytest.mark.parametrize("q", [0.19, 0.51])
-def test_where_the_robot_is_belongs_to_the_tube_if_its_setpoints_do_not_explain_it(tracker, q):
+def test_an_unexplained_measurement_belongs_to_the_tube(tracker, q):
     for cycle in range(1, LAG + 1):
         tracker.observe(state(cycle, 0.1 + cycle / 10, q))
     np.testing.assert_allclose(first_joint(tracker.standing()), [q, 0.2, 0.3, 0.4, 0.5])
 
 
 @pytest.mark.parametrize("q", [(0.1, 0.2, 0.3, 0.4, 0.5, 0.55), (0.15, 0.2, 0.3, 0.4, 0.5, 0.6)])
-def test_a_single_joint_that_is_elsewhere_brings_the_robot_into_its_tube(tracker, q):
+def test_one_displaced_joint_adds_the_measurement_to_the_tube(tracker, q):
     setpoint = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
     for cycle in range(1, LAG + 1):
         tracker.observe(server_state("fr", cycle, q_cmd=setpoint, q=q))
     assert len(tracker.standing().points) == LAG + 1
 
 
-def test_where_the_robot_is_does_not_belong_to_the_tube_if_it_follows_its_setpoints(tracker):
+def test_an_explained_measurement_does_not_belong_to_the_tube(tracker):
     for cycle in range(1, LAG + 1):
         tracker.observe(state(cycle, 0.1 + cycle / 10, 0.3))
     assert len(tracker.standing().points) == LAG
 
 
-def test_in_a_new_session_the_robot_is_reckoned_with_where_the_krc_has_it(tracker):
+def test_in_a_new_session_the_robot_counts_at_the_setpoint_of_the_krc(tracker):
     for cycle in range(1, 1 + LAG):
         tracker.observe(state(cycle, 0.1))
     for cycle in range(1 + LAG, 1 + 2 * LAG):
@@ -238,13 +236,13 @@ def test_in_a_new_session_the_robot_is_reckoned_with_where_the_krc_has_it(tracke
     assert tracker.at_rest()
 
 
-def test_a_robot_that_does_not_stand_where_the_krc_of_a_new_session_has_it_is_off_its_path(tracker):
+def test_a_robot_away_from_the_setpoint_of_a_new_session_is_off_its_path(tracker):
     for cycle in range(1, 1 + LAG):
         tracker.observe(state(cycle, 0.1, q=0.1, q_reset=(0.5,) * 6))
     assert tracker.off_path() is not None
 
 
-def test_a_robot_is_at_rest_when_its_drives_have_caught_up_and_nothing_is_left_to_send(tracker):
+def test_a_robot_is_at_rest_when_its_drives_settled_and_no_setpoint_remains(tracker):
     tracker.observe(state(1, 0.1))
     for cycle in range(2, LAG + 2):
         assert not tracker.at_rest()
@@ -255,7 +253,7 @@ def test_a_robot_is_at_rest_when_its_drives_have_caught_up_and_nothing_is_left_t
 
 
 @pytest.mark.parametrize(("lag_s", "setpoints"), [(1e-9, 2), (0.012, 2), (0.072, 7), (0.0721, 8), (0.12, 11)])
-def test_the_present_setpoint_and_every_one_of_the_lag_before_it_are_kept(lag_s, setpoints):
+def test_the_setpoints_of_the_lag_are_kept(lag_s, setpoints):
     gate = CELL.gate.model_copy(update={"servo_lag_s": lag_s})
     tracker = Tracker("fr", FR, drives_of(FR, gate, CYCLE_S), CYCLE_S)
     for cycle in range(1, 20):
@@ -299,7 +297,7 @@ def test_the_joint_off_its_path_is_the_one_furthest_beyond_its_own_tolerance():
     assert tracker.off_path()[0] == lesser
 
 
-def test_a_tracker_goes_on_from_what_another_remembers(tracker):
+def test_a_tracker_continues_from_a_restored_snapshot(tracker):
     tracker.observe(state(1, process=0))
     for cycle in range(1, LAG + 1):
         tracker.admitted(admission(7))
@@ -328,7 +326,7 @@ def two_in_flight():
     return tracker, first, second
 
 
-def test_with_a_lookahead_a_course_goes_through_all_that_is_in_flight():
+def test_with_a_lookahead_a_trajectory_passes_all_admissions_in_flight():
     tracker, _, _ = two_in_flight()
     course = tracker.course(np.full(6, 0.002), brake_cycles=2)
     to_come = course.setpoints(tracker.q_cmd)[:, 0]
@@ -337,7 +335,7 @@ def test_with_a_lookahead_a_course_goes_through_all_that_is_in_flight():
     assert np.isin(np.round(to_come, 9), np.round(in_tube, 9)).all()
 
 
-def test_with_a_lookahead_what_is_still_due_is_not_counted_as_missed():
+def test_with_a_lookahead_due_admissions_do_not_count_as_missed():
     tracker, first, second = two_in_flight()
     plan = Plan(dq=first.dq, brake_cycles=2, step=0)
     tracker.observe(state(2, 0.101, dq=first.dq, sequence=2, plan=plan))
@@ -388,7 +386,7 @@ def test_setpoints_of_unheard_cycles_are_remembered_as_sent():
     assert len(tracker.standing().points) == 8
 
 
-def test_where_it_is_not_known_what_was_sent_all_that_may_have_been_is_remembered_as_long_as_the_lag():
+def test_unknown_setpoints_are_replaced_by_all_possible_ones_for_the_lag():
     tracker, motion, sent = moving_in_flight()
     elsewhere = state_of(motion, 13)
     off = tuple((np.array(elsewhere.q_cmd) + 1e-6).tolist())
@@ -401,7 +399,7 @@ def test_where_it_is_not_known_what_was_sent_all_that_may_have_been_is_remembere
     assert tracker.at_rest()
 
 
-def test_a_setpoint_that_the_krc_missed_costs_none_of_those_before_it():
+def test_a_setpoint_missed_by_the_krc_drops_no_earlier_one():
     tracker, motion, _ = moving_in_flight()
     # each telegram tells that the reply before it was missed, so the same setpoint is sent again
     for cycle in range(13, 17):
@@ -411,7 +409,7 @@ def test_a_setpoint_that_the_krc_missed_costs_none_of_those_before_it():
     np.testing.assert_array_equal(points[0], np.zeros(6))
 
 
-def test_a_leap_of_cycles_costs_no_time(tracker):
+def test_a_jump_of_cycles_takes_no_time(tracker):
     tracker.observe(state(1))
     assert tracker.observe(state(2**52, 0.2))
     np.testing.assert_allclose(tracker.q_cmd, 0.2)

@@ -42,7 +42,7 @@ def test_a_robot_at_rest_has_one_point_and_one_window():
 
 
 @pytest.mark.parametrize("measured", [None, np.array([0.1, 0.2])])
-def test_windows_begin_now_and_end_when_the_drives_have_caught_up_with_the_last_setpoint(measured):
+def test_windows_begin_now_and_end_when_the_drives_reach_the_last_setpoint(measured):
     history, cycles = np.tile([1.0, 2.0], (LAG, 1)), 3
     past = LAG if measured is None else LAG + 1
     still = tube(
@@ -62,7 +62,7 @@ def test_a_single_window_and_windows_along_one_line_are_divided_as_their_span():
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_a_span_and_its_halves_hold_every_mean_of_its_points(seed):
+def test_a_span_and_its_halves_contain_every_mean_of_its_points(seed):
     random = np.random.default_rng(seed)
     points = np.cumsum(random.normal(size=(random.integers(1, 12), 3)) * random.uniform(0, 1, 3), axis=0)
     pieces = [Span.around(points, np.zeros(points.shape[1]), 0.0)]
@@ -84,7 +84,7 @@ def test_the_span_of_points_on_a_line_is_the_line():
     assert not Span.around(np.array([[0.0, 1.0], [0.5, 0.7], [2.0, 0.0]]), np.zeros(2), 0.0).is_straight
 
 
-def test_in_each_half_the_middle_takes_the_place_of_one_of_the_farthest_two_vertices():
+def test_in_each_half_the_midpoint_replaces_one_of_the_farthest_vertices():
     triangle = np.array([[0.0, 0.0], [4.0, 0.0], [1.0, 2.0]])
     first, second = Span(np.zeros(2), np.array([4.0, 2.0]), triangle, np.array([0.0, 0.1])).halves()
     np.testing.assert_allclose(first.middle + first.offsets, [[0.0, 0.0], [2.0, 0.0], [1.0, 2.0]])
@@ -95,7 +95,7 @@ def test_in_each_half_the_middle_takes_the_place_of_one_of_the_farthest_two_vert
     np.testing.assert_allclose([first.half, second.half], [[1.0, 1.1], [1.5, 1.1]])
 
 
-def test_division_ends_at_what_no_drive_resolves_and_where_a_span_is_as_wide_as_long():
+def test_division_ends_at_the_resolution_of_drives_and_at_spans_as_wide_as_long():
     def line(half, deviation):
         offsets = np.array([np.full(2, -half), np.full(2, half)])
         return Span(np.zeros(2), np.full(2, half + deviation), offsets, np.full(2, deviation))
@@ -164,7 +164,7 @@ def is_on_hull(history, q, drives):
     return not history.is_full or bool((np.abs(off_hull(points, q, width)) <= width).all())
 
 
-def test_the_windows_of_joints_that_lag_alike_do_not_hold_drives_that_lag_apart():
+def test_windows_for_equal_lags_do_not_contain_drives_with_different_lags():
     plant, history = spread_drives((0.012, 0.06)), History(7)
     for cycle in range(30):
         history.sent(np.array([0.03, 0.03]) * cycle)
@@ -196,7 +196,7 @@ def rising(count):
     ("step", "shares"),
     [(-1, [1.0, 1.75, 2.25, 2.5]), (0, [0.75, 1.25, 1.5]), (1, [0.5, 0.75]), (2, [0.25]), (3, []), (9, [])],
 )
-def test_a_branch_goes_on_with_what_was_not_sent_yet(step, shares):
+def test_a_branch_continues_with_unsent_setpoints(step, shares):
     setpoints = Branch(DQ, 4, step).setpoints(HERE)
     assert setpoints.shape == (len(shares), 2)
     np.testing.assert_allclose(setpoints, [HERE + share * DQ for share in shares] if shares else setpoints)
@@ -208,28 +208,28 @@ def test_a_branch_without_motion_has_no_setpoints_to_come():
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
-def test_a_branch_behind_what_is_in_flight_goes_on_from_the_end_of_that(count):
+def test_a_branch_after_admissions_in_flight_continues_from_their_end(count):
     path = tuple(HERE + np.array([0.1, -0.1]) * k for k in range(1, 1 + count))
     to_come = [path[-1] + DQ, path[-1] + 1.5 * DQ]
     np.testing.assert_allclose(Branch(DQ, 2, -1, path).setpoints(HERE), [*path, *to_come])
     np.testing.assert_allclose(Branch(np.zeros(2), 2, -1, path).setpoints(HERE), path)
 
 
-def test_a_tube_holds_the_last_setpoints_and_those_to_come():
+def test_a_tube_contains_the_last_and_the_future_setpoints():
     piece = tube(rising(3), Branch(DQ, 2, -1), DRIVES)
     np.testing.assert_allclose(piece.points, [*rising(3), HERE + DQ, HERE + 1.5 * DQ])
     assert piece.drives.lag == SHORT_LAG
     assert (piece.first, piece.last) == (2, 4 + SHORT_LAG)
 
 
-def test_where_the_robot_is_comes_first_in_a_tube_that_its_setpoints_do_not_explain():
+def test_an_unexplained_measurement_comes_first_in_its_tube():
     measured = np.array([5.0, 5.0])
     piece = tube(rising(3), Branch(DQ, 2, -1), DRIVES, measured)
     np.testing.assert_allclose(piece.points[:2], [measured, rising(3)[0]])
     assert (piece.first, piece.last) == (3, 5 + SHORT_LAG)
 
 
-def test_drives_that_still_settle_have_windows_to_come_and_a_robot_at_rest_has_one():
+def test_settling_drives_have_several_windows_and_a_robot_at_rest_has_one():
     settling = tube(rising(3), Branch(np.zeros(2), 1, 0), DRIVES)
     assert (settling.first, settling.last) == (2, 2 + SHORT_LAG)
     one_joint = tube(np.array([[1.0, 1.9], [1.0, 2.0]]), Branch(np.zeros(2), 1, 0), DRIVES)
@@ -261,7 +261,7 @@ def ends(piece):
         (30, 30, (9, 9)),
     ],
 )
-def test_a_window_holds_its_setpoint_and_as_many_before_it_as_the_drives_lag(first, last, held):
+def test_a_window_contains_its_setpoint_and_those_of_the_lag_before(first, last, held):
     assert ends(Windows(LINE, exact_drives(2), first, last)) == list(held)
 
 
@@ -283,6 +283,6 @@ def test_a_single_window_is_halved_along_its_line():
     assert ends(right) == [4, 5]
 
 
-def test_a_robot_with_one_state_is_where_that_state_says():
+def test_a_robot_with_one_state_is_at_that_state():
     piece = tube(HERE[None], Branch(np.zeros(2), 1, 0), DRIVES)
     assert (len(piece.points), piece.first, piece.last) == (1, 0, 0)

@@ -58,7 +58,7 @@ async def test_proven_clients_and_stops_are_served_and_then_their_session_is_rat
     hli_session.close()
 
 
-async def test_who_floods_with_proven_questions_keeps_those_of_strangers_not_waiting_nor_the_other_way(
+async def test_floods_of_proven_and_unproven_queries_do_not_delay_one_another(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     waits: list[Waits] = []
