@@ -18,10 +18,10 @@ class Figure:
     """One figure of a run, with its name in tables.
 
     Attributes:
-        name: with its unit.
-        of: a run.
-        decimals: to be shown.
-        worst: of some values.
+        name: its name with its unit.
+        of: computes it from one run.
+        decimals: number of decimals to print.
+        worst: selects the worst of several values.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Figure:
         }
 
     def cell(self, runs: Sequence[ModeFigures]) -> str:
-        """The same as a cell of a table."""
+        """The median and the worst with its seed, as text for a table."""
         told = self.told(runs)
         middle, lower, upper, worst = (
             f"{value:.{self.decimals}f}" for value in (told["median"], *told["quartiles"], told["worst"])
@@ -88,9 +88,9 @@ class Conclusion:
     """A conclusion of the paper, and a question about it that the figures answer.
 
     Attributes:
-        said: by Hooper and Noakes, section V.
-        asked: of the figures; empty if they say nothing about it.
-        modes: that the question compares.
+        said: the conclusion of Hooper and Noakes, section V.
+        asked: the question to the figures; empty if they do not concern it.
+        modes: the modes that the question compares.
         holds: whether it holds for one seed, given the runs of these modes.
     """
 

@@ -2,7 +2,7 @@
 
 import pytest
 from test_page import Q
-from test_ways import in_mode, let_go
+from test_paths import in_mode, let_go
 
 pytestmark = [pytest.mark.browser, pytest.mark.live, pytest.mark.nightly, pytest.mark.timeout(300)]
 

@@ -129,7 +129,7 @@ def test_drawing_resumes_after_a_lost_graphics_context(opened):
 
 
 @pytest.mark.parametrize("way", ["pointer", pytest.param("escape", marks=pytest.mark.nightly)])
-def test_stop_brings_a_driven_robot_to_rest_and_says_so(opened, way):
+def test_stop_brings_a_driven_robot_to_rest_and_shows_it(opened, way):
     page = opened()
     take_control(page)
     hold_until_it_moves(page)

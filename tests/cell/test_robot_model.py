@@ -110,7 +110,7 @@ def test_a_configuration_of_the_wrong_shape_is_refused_with_both_shapes(q: objec
         robot.jacobian(q)
 
 
-def test_a_robot_without_camera_says_so() -> None:
+def test_a_robot_without_camera_is_refused_with_a_reason() -> None:
     robot = RobotModel(describe("kr16"), "fr")
     with pytest.raises(RobotModelError, match=r"carries no camera; add one under robots\.fr\.camera"):
         robot.camera_pose(np.zeros(6))

@@ -352,7 +352,7 @@ def test_a_tree_is_cut_at_a_blocked_edge() -> None:
     assert tree.branch(good) == [0, good]
 
 
-def test_a_search_that_is_cancelled_ends_with_what_it_has() -> None:
+def test_a_cancelled_search_returns_the_options_so_far() -> None:
     told: list[Progress] = []
 
     def go_on(progress: Progress) -> bool:

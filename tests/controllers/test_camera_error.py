@@ -119,7 +119,7 @@ def test_a_focus_in_the_lens_counts_as_straight_ahead(random: np.random.Generato
     assert np.isfinite(view.P).all()
 
 
-def test_from_a_focus_behind_the_camera_on_the_axis_of_a1_the_way_round_is_over_the_top() -> None:
+def test_from_a_focus_behind_the_camera_on_the_axis_of_a1_the_rotation_goes_over_the_top() -> None:
     robot = lab().robots["fr"]
     kinematics = Kinematics(robot, "camera")
     kinematics.update(np.deg2rad([0.0, -90.0, 90.0, 0.0, 0.0, 0.0]))

@@ -396,7 +396,7 @@ def test_the_pad_rumbles_more_if_less_of_the_command_is_executed_and_stops_with_
     assert pad.rumbles[2:] == [0.0]
 
 
-def test_the_view_distance_is_told_beside_the_speed(pad: VirtualPad) -> None:
+def test_the_view_distance_is_shown_beside_the_speed(pad: VirtualPad) -> None:
     with Settled(teleoperator(), view=cast(AskedViewDistance, Steps())) as gamepad:
         assert "0.100 m/s, view 1.00 m, hold a shoulder button" in gamepad.status
 

@@ -29,7 +29,7 @@ def test_no_stamps_are_written_without_the_environment_variable(monkeypatch: pyt
         assert stamps_if_asked("sim", ["fr"]) is None
 
 
-def test_a_full_ring_keeps_the_newest_in_order_and_counts_what_it_lost(tmp_path: Path) -> None:
+def test_a_full_ring_keeps_the_newest_in_order_and_counts_lost_stamps(tmp_path: Path) -> None:
     written = read_stamps(filled(7, capacity=4).write(tmp_path))
     assert written.overwritten == 3
     assert written.rows[:, 2].tolist() == [3, 4, 5, 6]

@@ -51,7 +51,7 @@ def bring_to_rest(cell: CellDescription, client: str) -> None:
 
 
 def rests(before: RobotStatus | None, now: RobotStatus) -> bool:
-    """Held, and measured at one place twice: a robot is held from its stop on, and then still brakes."""
+    """Whether a robot is held and was measured at one place twice; a held robot may still be braking."""
     if now.phase is Phase.OFFLINE or now.reason is ReasonCode.KRC_LOST:
         return True  # it is silent: there is nothing to wait for
     if now.phase is not Phase.HELD or before is None or before.cycle == now.cycle:

@@ -1,4 +1,4 @@
-"""Increments on their way from controllers to the gate."""
+"""Checks of increments from controllers, and their forwarding to the gate."""
 
 from __future__ import annotations
 
@@ -19,13 +19,16 @@ from deltaq_services.outputs import ClientOrigin, Output, Sender, ToSender, ToTo
 
 
 class Increments:
-    """Checks increments and hands on the newest one of each cycle."""
+    """Checks increments, and forwards the newest one of each cycle to the gate.
+
+    Each handler takes the monotonic time [s], and returns the messages to send.
+    """
 
     def __init__(self, state: HliState) -> None:
         self._state = state
 
     def on_increment(self, increment: Increment, sender: Sender | None, time_s: float) -> list[Output]:
-        """A controller asks for an increment; it goes to the gate now, with the next state, or is refused.
+        """Take an increment of a controller: forward it now or with the next state, or refuse it.
 
         With a jitter buffer, earlier increments that were lost come with it.
         """
@@ -72,7 +75,7 @@ class Increments:
     def on_bad_increment(
         self, error: InvalidMessageError, sender: Sender | None, time_s: float
     ) -> list[Output]:
-        """An increment that could not be decoded: refused like any other if it names its robot and sender."""
+        """Refuse an undecodable increment like any other, if it names its robot and sender."""
         outputs = self._state.tick(time_s)
         self._state.counters["increments"] += 1
         data: dict[str, Any] = error.data
@@ -91,7 +94,7 @@ class Increments:
         return outputs + self._state.refuse(*asked, reason, sender, lease is not None)
 
     def on_malformed(self, error: InvalidMessageError, sender: Sender | None) -> list[Output]:
-        """A malformed message: counted and answered, nothing else."""
+        """Count and answer a malformed message."""
         self._state.counters["malformed"] += 1
         origin = ClientOrigin(address="zenoh") if sender is None else sender.origin
         # what it holds may be a secret in the wrong place

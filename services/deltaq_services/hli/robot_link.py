@@ -26,10 +26,10 @@ from deltaq_services.outputs import Sender
 
 
 class AdmittedAhead(Part):
-    """What one robot will be sent if it takes all that has been admitted.
+    """The future setpoints of one robot if it takes all admissions in flight.
 
     Args:
-        cycles: how many setpoints may be decided that are not sent yet.
+        cycles: number of setpoints that may be decided before they are sent.
         cycle_s: sample time of the robot.
     """
 
@@ -100,11 +100,11 @@ class RobotLink(Part):
 
     Attributes:
         joints: as given.
-        playout: keeps the increments of the lease until their turn; None if the lease did not ask for it.
+        playout: the jitter buffer of the lease; None if it did not ask for one.
         sight: how well the controller sees its target; None if it does not say.
         target: its target; None if it does not say.
         view: the requested view of its camera; None before the first request.
-        state, received_s: newest state of the robot, and when it came [s].
+        state, received_s: newest state of the robot, and the time of its arrival [s].
         is_in_step: whether the increment of the cycle before was decided in it, and the robot has taken it. Then no
             increment waits in the gate for a word of the HLI, and this cycle's increment is that word.
     """
@@ -150,7 +150,7 @@ class RobotLink(Part):
         return self.state.phase
 
     def begin_playout(self) -> PlayoutBuffer:
-        """From now on, until the lease ends, increments wait for their turn."""
+        """Make increments wait in a jitter buffer until the lease ends; returns the buffer."""
         self.playout = PlayoutBuffer(self._max_playout_cycles, self._carried.snapshot())
         return self.playout
 
@@ -241,7 +241,7 @@ class RobotLink(Part):
 
     @property
     def last_dq(self) -> tuple[float, ...] | None:
-        """(n,) the increment before the one that is asked for now [rad or m]; None with a lookahead."""
+        """(n,) the last increment of the setpoint [rad or m]; None with a lookahead."""
         return None if self._admitted is not None or self.state is None else self.state.dq
 
     def told_ahead(self) -> tuple[tuple[float, ...] | None, int | None]:

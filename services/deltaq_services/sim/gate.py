@@ -30,14 +30,14 @@ from deltaq_services.sim.tube import Windows
 
 
 class Contacts:
-    """The contacts, pairs of bodies that an operator lets touch for a while, that are allowed now; none at the start.
+    """The contacts allowed now: pairs of bodies that an operator permits to touch. None is allowed at the start.
 
     Args:
         proximity: of the cell; it measures no pair that an allowed contact names.
         contacts: of the cell, by name.
 
     Attributes:
-        allowed: names of those that are allowed now, in the cell's order.
+        allowed: names of the contacts allowed now, in the cell's order.
     """
 
     def __init__(self, proximity: ProximityEngine, contacts: Mapping[str, ContactDescription]) -> None:
@@ -101,7 +101,7 @@ class SlowDown:
             robot: the robot that is to move, judged at the setpoint that the increment is added to.
             others: the other robots, at their present setpoints.
             brake: (n,) next increment of the brake [rad or m].
-            request: (n,) increment asked for.
+            request: (n,) requested increment [rad or m].
             at_most: the largest s that other limits leave.
         """
         if self._distance_m is None:
@@ -156,7 +156,7 @@ class Decision:
         dq: (n,) increment admitted; the brake's if held.
         brake_cycles: length of the brake after it.
         reasons: the limiting factors of the request, tightest first.
-        binding: the pair of bodies with the least room.
+        binding: the pair of bodies with the least clearance to spare; None without one.
     """
 
     outcome: Outcome
@@ -168,7 +168,15 @@ class Decision:
 
 
 class Gate:
-    """Decides requests by bodies and limits, without clocks or links."""
+    """Decides requests by bodies and limits, without clocks or links.
+
+    Args:
+        proximity: measures the cell's bodies.
+        limits: joint limits of each robot for one cycle, by robot.
+        margins: the cell's gate margins.
+        contacts: the allowed contacts.
+        violations: distances that pairs in a violation have to keep.
+    """
 
     def __init__(
         self,

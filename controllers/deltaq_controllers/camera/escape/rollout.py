@@ -1,4 +1,4 @@
-"""The cost of a course of the arm, simulated on a model of the robot and of its attacker, compiled.
+"""The cost of a candidate trajectory (a course) of the arm, simulated on a model of robot and attacker, compiled.
 
 The arm goes to one goal and then to another, its joints as fast as speed and acceleration let them; those that the
 view needs are turned by the law (9). The attacker's tool homes in on a moving point of the arm, and its bodies move
@@ -32,19 +32,19 @@ class EscapeGains(NamedTuple):
         range_m: clearance from the attacker from which on it costs nothing [m].
         near: cost at zero clearance; it grows with the square of the shortfall to `range_m`.
         close_m: clearance below which it costs `close` more, in proportion [m].
-        close: at no clearance.
+        close: cost at zero clearance.
         contact_m: clearance below which it counts as a contact: what the model cannot tell from one [m].
-        contact: of a contact, and of each step after it: the cost of a contact persists.
+        contact: cost of a contact in its step and in each later one.
         view_rad: view angle error from which on it costs [rad].
-        askew: per rad of a greater error, and no more than for half a rad.
+        askew: cost per rad of a greater error, bounded by that of half a rad.
         own_m: distance that the arm keeps from itself and from the structure [m].
-        own: where it touches them, in proportion to the shortfall.
+        own: cost when touching them, in proportion to the shortfall.
         margin: part of a joint's range within which its limit costs at the end.
-        limit: of a joint that ends at its limit, once.
+        limit: cost of a joint that ends at its limit, once.
         inner_m: clearance of the attacker from the bodies that cannot get out of the way, from which on it costs
             nothing at the end [m].
-        inner: at none, once; it grows with the square of the shortfall.
-        distance: per squared m of the view distance's error at the end, once.
+        inner: cost at zero clearance, once; it grows with the square of the shortfall.
+        distance: cost per squared m of the view distance's error at the end, once.
         better: a rival takes over if it costs less than this part of the course that is held.
         acts_above: cost of the best course from which on it leads the arm.
         led_evasion_weight, led_weight: of the programme's rows while it leads: of each joint that it leads, and of
@@ -130,7 +130,7 @@ class Simulation(NamedTuple):
         seen: the view of its camera.
         q, rates: (n,) of the arm.
         tip, velocity: (3,) of the attacker's tool [m], [m/s].
-        shift: (3,) by which its bodies have moved [m].
+        shift: (3,) displacement of the attacker's bodies [m].
         path: (steps, n) of the newest course [rad or m].
         best: (steps, n) of the best one.
     """
@@ -164,7 +164,7 @@ def best_course(
     courses: Courses,
     simulation: Simulation,
 ) -> tuple[int, int, float]:
-    """The best of some courses; the first one is kept unless another is clearly better.
+    """Find the best of several courses; the first one is kept unless another is clearly better.
 
     Returns:
         Number of the best, number of the best other one, and cost of the best; its path is `simulation.best`.
