@@ -122,7 +122,7 @@ class KrcSettings(BaseModel):
     ones. The maker's documents do not say whether consecutive late cycles count or all."""
     count_from: Literal["first_reply", "start"] = "first_reply"
     """Start counting against the budget when the PC has replied once, or with the first telegram as a real
-    controller does. There an operator starts the program once the PC is up; here it starts by itself."""
+    controller does. A real operator starts the program when the PC is ready; the emulator starts at once."""
     precision: Annotated[int, Field(ge=1, le=9)] = 1
     """Decimals of a DOUBLE in the controller's telegrams."""
     velocity_stop_factor: Positive = 1.1

@@ -101,7 +101,7 @@ _MEANINGS: dict[str, dict[str, str]] = {
         "{topic}_dropped": "messages of this topic dropped because they came too fast to be served",
         "failed": "messages that could not be served because of a fault of the HLI; its log has each",
         "attempts_refused_{what}_{code}": (
-            "attempts of clients that were refused for this reason, as the audit log names both"
+            "refused attempts of clients, by action and reason, as in the audit log"
         ),
         "audit_lines": "entries of the audit log that were handed to its file",
         "audit_lines_lost": (

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from deltaq_testing import plugin, schedule, strategies
-from deltaq_testing.observed import JointTrackingError, Observed, RunFinding
+from deltaq_testing.observed import JointTrackingError, Observed
 from deltaq_testing.scenario.model import (
     EndsAt,
     Expectations,
@@ -41,7 +41,7 @@ def testing() -> str:
             "## The cell under test",
             table(("member", "action or result"), [*_members(CellUnderTest), *_members(Observed)]),
             table(("attribute", "content"), [*_attributes(CellUnderTest), *_attributes(Observed)]),
-            f"A `RunFinding` is true or false, and `told` says why: {_text(RunFinding)}",
+            "A `RunFinding` is true if the check holds; `told` gives the reason.",
             f"A `JointTrackingError` has `max`, `rms` and `final`: {_text(JointTrackingError)}",
             "## Faults",
             _documented(schedule.fault, "deltaq_testing.schedule"),

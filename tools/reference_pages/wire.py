@@ -45,9 +45,9 @@ def topics() -> str:
             " no proof. If no tokens are set, every client is an operator.",
             table(("topic", "what", "who may"), rights),
             "## Guarded realm",
-            "HLI, SIM and Robot Servers alone speak here, each key has one sender, and"
-            " Unix permissions or [certificates](../explanation/security.md#identities) see to it. A client needs none"
-            " of this; `deltaq schema` prints the fields.",
+            "Only HLI, SIM and Robot Servers communicate here, and each key has one sender. Unix permissions or"
+            " [certificates](../explanation/security.md#identities) enforce this. Clients do not need this realm;"
+            " `deltaq schema` prints the fields.",
             _table_of(Realm.GUARDED),
         ]
     )
@@ -131,9 +131,9 @@ def reasons() -> str:
             "## Reason codes",
             table(("code", "meaning"), rows),
             "## Phases of a robot",
-            f"A robot takes admissions in {may_move} only. It begins `{Phase.OFFLINE}`. An event that is not listed"
+            f"A robot takes admissions only in {may_move}. It begins `{Phase.OFFLINE}`. An event that is not listed"
             " for a phase changes nothing."
-            " [What is proved of it](../notes/what-is-proved-of-the-phases.md).",
+            " [Proved properties](../notes/what-is-proved-of-the-phases.md).",
             table(("phase", "event", "next phase"), changes),
         ]
     )

@@ -75,7 +75,7 @@ class CylinderShape(DescriptionModel):
 
 
 class CapsuleShape(DescriptionModel):
-    """A cylinder along z with round ends, its frame at its centre; the length leaves the ends out."""
+    """A cylinder along z with round ends, its frame at its centre; the length excludes the ends."""
 
     kind: Literal["capsule"]
     radius_m: Positive
@@ -122,13 +122,13 @@ class Camera(DescriptionModel):
 
 
 class Tool(DescriptionModel):
-    """What the flange carries: where the tool frame is, and the bodies of the tool, in the flange frame."""
+    """Tool frame and bodies of the tool, both in the flange frame."""
 
     frame: Pose = Pose()
     bodies: dict[Name, Body] = {}
 
 
 class Hand(Tool):
-    """A hand of a robot that has several: a tool on a link of its own; the frame and the bodies are in its frame."""
+    """One of several hands: a tool on its own link, with frame and bodies in the frame of that link."""
 
     link: str

@@ -93,7 +93,7 @@ class GateDescription(DescriptionModel):
 
 
 class CellDescription(DescriptionModel):
-    """A cell: its robots, its structure, the gate's margins, and where its services listen."""
+    """A cell: its robots, its structure, the gate's margins, and the addresses of its services."""
 
     cell: Name
     cycle_s: Annotated[float, Field(ge=0.001, le=0.1)]
