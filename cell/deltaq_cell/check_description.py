@@ -99,7 +99,7 @@ class DescriptionCheck:
             yield self._at(endpoint.field, told, endpoint.text)
 
     def _open_realm(self) -> Iterator[Problem]:
-        """Nobody on another machine moves a robot without a token, unless the cell says so, or by one overheard."""
+        """Check that other machines can move a robot only with a token that cannot be overheard, unless permitted."""
         exposed = off_loopback(self._cell)
         if exposed is None:
             return

@@ -24,7 +24,7 @@ class GuardedEndpoint(NamedTuple):
 
     @property
     def place(self) -> str:
-        """The field and its value, for people."""
+        """The field and its value, as text."""
         return f"{'.'.join(self.field)} ({self.text})"
 
 

@@ -160,7 +160,7 @@ class Emergency:
 
     Args:
         on_m: clearance below which the camera task is given up [m].
-        off_m: clearance above which it is taken up again [m].
+        off_m: clearance above which it is resumed [m].
     """
 
     def __init__(self, on_m: float, off_m: float) -> None:

@@ -291,7 +291,7 @@ class DriveLog:
         return [leg.chosen[-1][0] for leg in self.legs if leg.chosen and not leg.chosen[-1][1]]
 
     def summary(self) -> list[dict[str, Any]]:
-        """Each leg as a JSON object, for people: mm and degrees."""
+        """Each leg as a JSON object, in mm and degrees."""
         return [self._summary(leg) for leg in self.legs]
 
     def _summary(self, leg: Leg) -> dict[str, Any]:

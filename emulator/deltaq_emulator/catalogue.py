@@ -41,7 +41,7 @@ TEXTS: dict[Code, str] = {
 
 @dataclass(frozen=True)
 class KrcMessage:
-    """A message with its circumstances; `axis` is e.g. `A3`, or a signal's TAG; values are in deg or mm for people."""
+    """A message with its circumstances; `axis` is e.g. `A3`, or a signal's TAG; values are in deg or mm."""
 
     code: Code
     axis: str = ""

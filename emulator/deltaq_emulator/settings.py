@@ -133,7 +133,7 @@ class KrcSettings(BaseModel):
     jump_stop_mm: Positive = 25.0
     """The same for a linear axis; a stand-in."""
     acceleration_stop_factor: Positive = 3.0
-    """Stop when the setpoint goes on accelerating above the axis's limit by this factor; a stand-in for the
+    """Stop when the setpoint keeps accelerating above the axis's limit by this factor; a stand-in for the
     controller's model of its gears."""
     t1_speed_m_s: Positive = 0.25
     """Largest speed of the tool in T1."""

@@ -23,7 +23,7 @@ class KrcState(StrEnum):
     RSI_RUNNING = "RSI running"
     """RSI_MOVECORR is being executed: corrections move the robot."""
     MOTION_ENDED = "motion ended"
-    """The PC ended RSI_MOVECORR: the drives come to rest along their own ramps, and telegrams go on until RSI_OFF."""
+    """The PC ended RSI_MOVECORR: the drives stop along their own ramps, and telegrams continue until RSI_OFF."""
     STOPPED = "stopped"
     """A fault stopped the program; its message waits for the operator's acknowledgement."""
 

@@ -190,7 +190,7 @@ class CollisionReport(Report):
     Attributes:
         target: the part that they homed in on.
         contacts: cycles in which bodies of the two robots touched.
-        evading_share: fraction of the cycles in which the follower got out of the way.
+        evading_share: fraction of the cycles in which the follower evaded.
         angle_below_1_deg_share: fraction of the cycles, after the settling time, in which the focus was kept within a
             degree.
         gated: whether a gate stopped the robots.

@@ -263,7 +263,7 @@ class _Run:
         )
 
     def _to(self, goal: HandGoal, way: list[Array]) -> None:
-        """Append the measured configurations on the way to a goal."""
+        """Append the measured configurations on the path to a goal."""
         while True:
             self._stack.cycle()
             self._cycles += 1

@@ -123,7 +123,7 @@ class Robot:
 
         Raises:
             ValueError: the tool cannot go there, a displacement is not finite, or the speed out of its bounds.
-            MotionError: the gate limited or held it on its way.
+            MotionError: the gate limited or held it.
         """
         way = np.array([dx, dy, dz], dtype=np.float64)
         if not np.isfinite(way).all():

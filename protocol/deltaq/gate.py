@@ -93,7 +93,7 @@ class Step:
 
 @dataclass
 class _Arm:
-    """One robot: the motion that its Robot Server would send, and what is measured of it."""
+    """One robot: the motion that its Robot Server would send, and its measured configuration."""
 
     motion: SetpointMotion
     measured: Array | None = None
@@ -258,7 +258,7 @@ class Gate:
         Args:
             q_cmd: (n,) setpoint where the robot rests; None for its present motion [rad or m].
             dq: (n,) increment asked for [rad or m].
-            robot: which of several; the others go on as now.
+            robot: its name, if there are several; the others keep their motion.
         """
         name = self._named(robot)
         increment = self._increment(name, dq)

@@ -1,4 +1,4 @@
-"""A motion along a path of configurations, as increments: speeds up, goes on, and slows down within a robot's limits.
+"""A motion along a path of configurations, as increments: speeds up, moves, and slows down within a robot's limits.
 
 Pure: setpoints go in, increments come out. The gate still judges each of them.
 """

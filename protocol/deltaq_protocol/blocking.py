@@ -334,7 +334,7 @@ def connected(
     connection: AbstractAsyncContextManager[asynchronous.Cell],
     cell_class: Callable[[asynchronous.Cell, Background, Callable[[], None]], C],
 ) -> BlockingOpening[C]:
-    """A connection for asyncio as one for scripts; `cell_class` makes the cell of it."""
+    """Wrap an asyncio connection for scripts; `cell_class` makes the cell."""
     if sys.excepthook is sys.__excepthook__:
         sys.excepthook = _in_one_line
     opening: BlockingOpening[C] = BlockingOpening(

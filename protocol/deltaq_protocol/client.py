@@ -79,7 +79,7 @@ async def described(wire: Wire, address: str) -> Description:
         address: of the server, for messages.
 
     Raises:
-        ServiceUnreachableError: nobody there serves a cell.
+        ServiceUnreachableError: no server of a cell answers there.
         RefusedError: `protocol_version`, if the server speaks another version.
     """
     loop = asyncio.get_running_loop()

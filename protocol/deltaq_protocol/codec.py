@@ -170,7 +170,7 @@ def kind_of(value: object) -> str:
 
 
 def place(location: Iterable[int | str], otherwise: str = "") -> str:
-    """Where in a message something is wrong, its parts joined by dots; names that strangers made up are shortened."""
+    """Where in a message something is wrong, its parts joined by dots; unknown names are shortened."""
     return ".".join(_shortened(str(part), _LONGEST_NAME) for part in location) or otherwise
 
 

@@ -75,8 +75,8 @@ class OperatorCommand:
             hands (`left.x`) [m/s, rad/s]. Hands that hold an object move as it does: `x` is the object's.
         mode: the mode from now on; None does not change it.
         frame: the axes from now on; None does not change them.
-        option: rank of the way to go: the advisor's option, or in mode `pose` the only one. None is rest, also on
-            the way.
+        option: rank of the path to follow: the advisor's option, or in mode `pose` the only one. None means
+            rest, also on the path.
         outputs: digital outputs to switch now, by name; the others do not change.
         grip: whether all hands hold an object from now on; None does not change it, and so lets nothing fall.
         led: the hand that the master leads, in place of `rates`; empty for all hands or the object between them,
@@ -141,7 +141,7 @@ class Advise(Message):
     """In mode `advisor`: look for options from where the robot rests now, or end the search and forget the choice.
 
     With `trade_off`, the names of two criteria, options are points of their front in place of minima of the energy.
-    With `hands_may_leave` hands may leave their place on the way to an option, and come back.
+    With `hands_may_leave` hands may leave their poses on the path to an option, and come back.
     """
 
     type: Literal["advise"] = "advise"

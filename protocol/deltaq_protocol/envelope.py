@@ -3,7 +3,7 @@
 An envelope is `checksum (4 bytes) | sender (8) | number (8) | addressee (8)` in front of the message, big-endian. The
 checksum is the CRC-32 of the zenoh key and of all bytes after the checksum. Each process draws a random number; sender
 and addressee are such numbers. A message that only one service reads is addressed to that service's process. A message
-that several services read, such as a state, is addressed to nobody (0). A receiver refuses
+that several services read, such as a state, is without addressee (0). A receiver refuses
 
 - messages to another process: a recording of an earlier run addresses processes that have ended,
 - messages of a process whose service another process has taken over, such as one that was frozen and woke up,
@@ -69,7 +69,7 @@ class Envelopes:
         """Check an envelope received under a zenoh key, and return its message.
 
         Raises:
-            InvalidMessageError: it was damaged on its way.
+            InvalidMessageError: it is damaged.
             MisaddressedError: it was sent to another process.
             StaleMessageError: its sender was replaced, or a newer message has come.
         """

@@ -48,7 +48,7 @@ class Heartbeat:
         self._greeting = b"READY=1\n"
 
     def is_due(self, time_s: float) -> bool:
-        """Whether a sign of life is wanted at this monotonic time [s]."""
+        """Whether a heartbeat is due at this monotonic time [s]."""
         return time_s >= self._next_s
 
     def beat(self, time_s: float, healthy: bool = True, detail: str = "") -> None:

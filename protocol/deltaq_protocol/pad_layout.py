@@ -38,8 +38,8 @@ class PadControl:
     Attributes:
         name: its name by SDL.
         standard: its place in the standard mapping of browsers (W3C, Gamepad, section 12).
-        function: what it does.
-        words: what it does in words, short enough to stand beside a drawing.
+        function: its function.
+        words: its function as text, short enough for a drawing.
     """
 
     name: str

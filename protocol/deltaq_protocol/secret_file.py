@@ -28,7 +28,7 @@ def faults_of_secret(about: os.stat_result, file: Path, makes: str) -> Sequence[
 
     Args:
         about: the file's status (`os.stat`).
-        file: its path, for people.
+        file: its path, for the error.
         makes: the command that makes one.
     """
     faults = []

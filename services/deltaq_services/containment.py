@@ -35,7 +35,7 @@ class Part:
         return copy
 
     def restore(self, memory: Self) -> None:
-        """Go on from where another of the same robots was when `memory` was taken, counters excepted."""
+        """Restore the state in `memory`, taken of another part with the same robots; counters are kept."""
         for name, value in memory.__dict__.items():
             own = self.__dict__.get(name)
             if name in self.aside or callable(value) or isinstance(value, Counter | Containment):

@@ -24,7 +24,7 @@ class Event(StrEnum):
     RESTED = "rested"
     """The brake has ended."""
     STOPPED = "stopped"
-    """Somebody pressed stop, or a link or the path was lost."""
+    """A stop was requested, or a link or the path was lost."""
     RESET = "reset"
     """Someone entitled to it reset the robot, at rest and with the cause gone."""
 

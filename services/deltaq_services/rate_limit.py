@@ -24,7 +24,7 @@ class Heard(Part):
     """One stream of one publisher.
 
     Args:
-        name: for people.
+        name: its name in texts.
         topic: its row in the table of topics, with a steady rate and a greatest age.
         cycle_s: sampling time of the robots [s].
         bound_s: the cell's bound on its age, if there is one [s].

@@ -76,7 +76,7 @@ class ControllerProcess:
         self._connection.settimeout(self._patience_s)
 
     def say(self, line: bytes) -> None:
-        """Send a line; a program that has gone does not hear it."""
+        """Send a line; it is lost if the program has ended."""
         if self._connection is not None:
             with suppress(OSError):
                 self._connection.sendall(line)

@@ -206,7 +206,7 @@ class _Run:
         return result
 
     def _raised(self, taken: Recorded, error: Exception) -> None:
-        """The gate could not take this; go on from its next snapshot."""
+        """The gate failed on this message; continue from its next snapshot."""
         self._in_step = False
         self._tell(taken.number, taken.topic, taken.message, "", "taken", repr(error))
 

@@ -86,7 +86,7 @@ class Placed(NamedTuple):
         box_centre: (bodies, 3) of those [m].
         arms: (bodies, joints) greatest distances of points from the axes, zero where the span has no width
             [m/rad or m/m].
-        travel: (bodies,) bound of the way of any point within the span [m].
+        travel: (bodies,) bound of the travel of any point within the span [m].
     """
 
     rotation: Array

@@ -301,7 +301,7 @@ def largest_share(
 
     Beyond what `certify_all` takes, which does not write to `told` here:
 
-    - course: of the request; what it was laid for last is written over.
+    - course: memory for the trajectory of the request; overwritten.
     - refused: a share whose certificate does not hold.
     - trial_budget: of the budget, what one trial of suspects may spend on one other tube.
     - halvings: how finely a share is searched.

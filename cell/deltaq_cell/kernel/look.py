@@ -38,7 +38,7 @@ def look(
         pairs: of the cell.
         chosen: (k,) indices of those that are looked at.
         room_m: required clearance beyond the stop distance [m].
-        aims: whether searches begin anew; if not, they begin with the normals that were found last.
+        aims: whether searches begin from scratch; if not, they begin with the last normals.
         tells: whether the tightest pair is asked for also where none is open.
         found: receives the findings; `open` has the pairs.
 

@@ -72,7 +72,7 @@ class Stack(NamedTuple):
         kept: (2, VERTICES) scratch.
         beside: (VERTICES,) scratch.
         aside: (2, joints) scratch.
-        told: (2, joints) middles of the pieces in which the pair that is told was found [rad or m].
+        told: (2, joints) middles of the pieces with the reported pair [rad or m].
     """
 
     window: Integers

@@ -100,7 +100,7 @@ class Option:
         start: (n,) configuration from which a path is searched for.
         path: (P, n) from there, clear of everything; None if none is known.
         no_path: why not; empty if there is one.
-        hands_leave: whether the hands are in place, and leave and come back on the way.
+        hands_leave: whether hands that stay in place leave their poses on the path and come back.
         energy_here: energy of the configuration from which the advisor was asked.
         nearest: for each kind of near body, the nearest pair whose distance the hands' poses do not determine.
     """

@@ -89,7 +89,7 @@ class Component:
         return ends
 
     def _spread(self, rounds: int, go_on: Callable[[float], bool]) -> bool:
-        """Grow the tree; whether to go on."""
+        """Grow the tree; returns whether to continue."""
         for number in range(rounds):
             if not go_on(0.5 * number / rounds):
                 return False

@@ -61,7 +61,7 @@ class AdvisorProblem:
         weights: of the criteria.
         tracker: of the robot, where there is one already.
         others: (n,) configuration of each other robot; at home if not given.
-        hands_may_leave: whether hands that are in place may leave on the way to an option, and come back.
+        hands_may_leave: whether hands that stay in place may leave their poses on the path, and come back.
 
     Attributes:
         tracker, hands_may_leave: as given.

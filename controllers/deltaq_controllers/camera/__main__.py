@@ -13,7 +13,7 @@ from deltaq_cell.machine_code import folder, is_complete, mark_complete
 
 _PACKAGE = Path(__file__).parents[1]
 _ALL = "all"
-"""What is complete when every controller is."""
+"""The functions of all controllers."""
 FUNCTIONS, FUNCTIONS_OF_ALL = 140, 220
 """About as many are compiled for one law, and for all."""
 

@@ -107,7 +107,7 @@ class AdvisorMode(SteppedMode):
 
     Attributes:
         trade_off: names of the two criteria whose front is asked for; None: minima of the energy.
-        hands_may_leave: whether the hands may leave their place on the way to an option, and come back.
+        hands_may_leave: whether the hands may leave their poses on the path to an option, and come back.
     """
 
     name = DrivingMode.ADVISOR

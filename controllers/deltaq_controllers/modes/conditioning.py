@@ -26,7 +26,7 @@ LENGTH_M = 0.5
 """Travel that a turn of 1 rad counts as [m/rad]."""
 
 LEAST_M = 0.02
-"""Mobility at which the way ends [m/rad]."""
+"""Mobility at which the motion ends [m/rad]."""
 
 WATCHED_M = 0.5
 """Mobility below which it is asked how it changes [m/rad]."""
@@ -51,9 +51,9 @@ class Motions(NamedTuple):
     """The least joint motions that achieve the requested motion, and the motion that is made.
 
     Attributes:
-        asked: (n,) of the way that is asked for [rad or m].
-        made: (n,) of the way that is made [rad or m].
-        mobility: of the way that is asked for; infinite for none [m/rad].
+        asked: (n,) requested increment [rad or m].
+        made: (n,) increment that is made [rad or m].
+        mobility: in the requested direction; infinite without a request [m/rad].
         lost: part of it that no joint motion makes.
     """
 
@@ -147,10 +147,10 @@ def ramp_share(bend: Array, change: Array, most: Array, max_jerk: Array) -> floa
     If the path's curvature or a brake needs more than that, the least share that returns to the bound is used.
 
     Args:
-        bend: (n,) change of the increments if the tasks went on as they go.
+        bend: (n,) change of the increments at constant task rates.
         change: (n,) change of the increments that takes up the whole change of the tasks.
         most: (n,) that one cycle may make.
-        max_jerk: (n,) of the increments; what is left of the change ends without a jerk.
+        max_jerk: (n,) of the increments; the rest of the change ends without a jerk.
     """
     least, largest = 0.0, 1.0
     for joint in range(len(change)):

@@ -15,7 +15,7 @@ from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_protocol.driving import DrivingMode, OperatorCommand
 
 CYCLES = 3
-"""Cycles of each command: one at rest, one that starts, one that goes on."""
+"""Cycles of each command: one at rest, one at the start, one in motion."""
 
 _RATE = 0.05
 
@@ -45,7 +45,7 @@ def _always(mode: TeleoperationMode) -> Callable[[RobotModel], TeleoperationMode
 
 
 def _commands(teleoperator: Teleoperator) -> Iterator[OperatorCommand]:
-    """Rest, and then every axis of the mode, or the way to an option."""
+    """Rest, and then every axis of the mode, or the path to an option."""
     yield OperatorCommand()
     if teleoperator.mode is DrivingMode.ADVISOR:
         yield OperatorCommand(option=1)

@@ -234,7 +234,7 @@ class ResolvedMode(TeleoperationMode):
         return np.zeros_like(q)
 
     def _ended(self, motion: Motion, conditioning: Conditioning) -> Limitation:
-        """The limitation that is reported when the way ends for lack of mobility."""
+        """The limitation that is reported when the motion ends for lack of mobility."""
         del motion
         return of_conditioning(self._hands, conditioning)
 
@@ -267,7 +267,7 @@ class ResolvedMode(TeleoperationMode):
         self._line.forget()
 
     def _intervened(self) -> None:
-        """The gate did not admit all that was asked for: the line goes on from where the hands are."""
+        """The gate limited or held the increment: restart the line at the present poses of the hands."""
         self._line.forget()
 
     def _towards(self, instant: Instant, asked: Motion, box: Box, cycles: int) -> Advance:

@@ -101,7 +101,7 @@ class Pilot:
     def take(self, command: OperatorCommand, now_s: float, cycles: int | None = None) -> None:
         """Follow a command: its mode, axes and grip from the next rest on, its motion until it expires.
 
-        Outputs are for the caller; without a motion they let the present one go on.
+        Outputs are for the caller; a command with outputs alone keeps the present motion.
 
         Args:
             command: to follow.
@@ -136,7 +136,7 @@ class Pilot:
         Args:
             again: look for options.
             trade_off: names of two criteria whose front is wanted in place of minima.
-            hands_may_leave: whether the hands may leave their place on the way to an option, and come back.
+            hands_may_leave: whether the hands may leave their poses on the path to an option, and come back.
 
         Raises:
             ControllerError: the advisor does not drive, or these are not two criteria.

@@ -93,7 +93,7 @@ _SHARES = (0.1, 0.3, 1.0)
 _TRIED = 6
 """Ends whose ways are looked at, the quickest first."""
 PRACTISED_RAD = 0.05
-"""How far each joint of an arm goes on the way that is practised."""
+"""Motion of each joint of an arm on the practised path [rad or m]."""
 _MEASURED = 12
 """Number of configurations of a path at which its least distance is measured."""
 

@@ -1,6 +1,6 @@
 """A gamepad as an operator's stick, laid out as in the console, by `deltaq_protocol.pad_layout`.
 
-The sticks count only while a shoulder button is held. A pad that is unplugged is rest; plugged in again it goes on.
+The sticks count only while a shoulder button is held. An unplugged pad means rest; it works again when plugged in.
 """
 
 from __future__ import annotations

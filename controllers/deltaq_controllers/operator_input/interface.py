@@ -38,7 +38,7 @@ class OperatorInput(Protocol):
 
 
 DEAD_ZONE = 0.12
-"""Deflection below which it counts as let go; from there on it grows from zero."""
+"""Deflection below which a stick counts as released; beyond it the speed grows from zero."""
 
 
 def beyond_dead_zone(share: float) -> float:

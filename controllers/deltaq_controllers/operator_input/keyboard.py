@@ -42,7 +42,7 @@ FIRST_REPEAT_S = 0.7
 """Longest time from a press to its first repeat."""
 
 HOLD_S = 0.2
-"""How long a repeat moves: the longest motion at full speed after a key was let go, before the robot brakes."""
+"""Duration of the motion after a key's repeat: the longest full speed after its release, before the robot brakes."""
 
 TAP_S = 0.1
 """A tap moves as far as full speed does in this time."""

@@ -24,7 +24,7 @@ from deltaq_protocol.driving import HAND_AXES, Frame, OperatorCommand
 
 
 PULL_1_S = 4.0
-"""Rate at which the rest of the way is made up [1/s]."""
+"""Rate at which the remaining displacement is made up [1/s]."""
 SLACK_M, SLACK_RAD = 0.05, 0.2
 """The hand is pulled by no more: where it could not follow, the master's way back moves it at once [m, rad]."""
 SMOOTHED_S = 0.05

@@ -153,7 +153,7 @@ NODE = "deltaq"
 CLIENT = "deltaq ros2"
 _RETRY_S = 1.0
 _SILENCE_S = 1.0
-"""A robot without states is not waited for any longer: a trajectory must not begin when nobody expects it."""
+"""Time after which a waiting trajectory ends if no state arrives, so that none begins unexpectedly."""
 
 
 class BridgeUseError(DeltaqError):
@@ -233,7 +233,7 @@ class Bridge:
             await asyncio.sleep(_RETRY_S)
 
     async def _until_gone(self, has_begun: asyncio.Event) -> ServiceUnreachableError:
-        """Serve until one side has gone; returns which."""
+        """Serve until one side disconnects; returns which."""
         gone: list[BaseException] = []
         try:
             await self._serve(has_begun)

@@ -174,7 +174,7 @@ class TrajectoryFollower:
         return self._to(self._sent_to_s) - back
 
     def _taken_back(self, deviation: Array) -> Array:
-        """The part of a deviation (n,) that a cycle corrects: a share of it, but what is small comes to an end."""
+        """The part of a deviation (n,) that a cycle corrects: a fraction of it, or all of a small one."""
         least = _TAKEN_BACK_AT_LEAST * self._limits.max_ddq
         small = np.minimum(np.maximum(deviation, -least), least)
         share = deviation / _TAKEN_BACK_CYCLES

@@ -68,7 +68,7 @@ class RobotSurroundings:
         self._keeping = Keeping(pairs.foreign, margins, shares, REACTION_S, OTHERS_BRAKE_M_S2)
 
     def update(self, view: View) -> None:
-        """Add what was seen of the other robots."""
+        """Add an observation of the other robots."""
         self._others.update(view)
 
     def forget(self) -> None:

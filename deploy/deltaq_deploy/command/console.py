@@ -1,4 +1,4 @@
-"""Output of the command: JSON for programs; tables, prefixed logs and progress for people."""
+"""Output of the command: JSON; tables, prefixed logs and progress bars."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def counts(counters: dict[str, int]) -> str:
 
 
 def degrees_or_millimetres(value: float, unit: str) -> str:
-    """A joint position for people."""
+    """A joint position as text, in degrees or millimetres."""
     import math
 
     return f"{math.degrees(value):.1f}°" if unit == "rad" else f"{value * 1000:.0f} mm"

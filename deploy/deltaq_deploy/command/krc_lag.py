@@ -164,7 +164,7 @@ def _figures(one: MeasuredAxis) -> tuple[float, ...]:
 
 
 def _draw(path: Path, joints: Sequence[str], courses: Sequence[DrivenSweep], cycle_s: float) -> None:
-    """Each axis' first step and first sweep, sent and measured, as shares of the way."""
+    """Draw each axis' first step and first sweep, sent and measured, as fractions of their size."""
     import matplotlib
 
     matplotlib.use("Agg")

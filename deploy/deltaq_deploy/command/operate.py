@@ -374,7 +374,7 @@ def _point(text: str) -> list[float]:
 
 
 def _wished(view: ViewWish) -> str:
-    """What was asked for."""
+    """The request."""
     wished = view.model_dump(exclude_none=True, exclude={"targets"})
     parts = [f"{name} {value}" for name, value in wished.items()]
     if view.targets is not None:

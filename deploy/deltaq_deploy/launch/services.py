@@ -113,7 +113,7 @@ def cell_services(
 
     Args:
         cell: the cell's description.
-        cell_name: the name or path that the services are told to load it by.
+        cell_name: the name or path from which the services load it.
         real: real robots, so no emulator.
         audit: file of the HLI's audit log; empty: its environment decides.
     """
@@ -191,7 +191,7 @@ def console_service(
 
     Args:
         cell: the cell's description.
-        cell_name: the name or path that it is told to load it by.
+        cell_name: the name or path from which the service loads it.
         services: those that run beside it.
         recordings: folder in which it writes and opens recordings; empty for none.
     """

@@ -91,7 +91,7 @@ class DrivenSweep:
 
 @dataclass(frozen=True)
 class MeasuredAxis:
-    """What was measured of one axis.
+    """Measurements of one axis.
 
     Attributes:
         lag: of its steps.

@@ -101,7 +101,7 @@ class Summary:
         peers: telegrams by sender, `HOST:PORT`.
         reply: time from a telegram to its answer; None if none was answered.
         guess: the likely kind of KRC and cycle.
-        problems: faults found, for people.
+        problems: faults found, as text.
     """
 
     telegrams: int

@@ -78,7 +78,7 @@ def measured(
         cycle_s: each robot tells its state once in this time [s].
         duration_s: of the measurement [s].
         folder: empty, for its Unix sockets.
-        wait: waits for so long [s]; what it raises ends the chain.
+        wait: waits for a time [s]; an exception ends the chain.
 
     Raises:
         BareChainError: if a process ends, or does not serve in time.

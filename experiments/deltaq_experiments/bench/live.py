@@ -165,7 +165,7 @@ def _run(
 def _counted(
     launcher: Launcher, wait: Callable[[float], None], count: Callable[[int], float]
 ) -> dict[str, float]:
-    """What was counted of each process so far, by its id."""
+    """Counts of each process so far, by its id."""
     try:
         return {name: count(child.pid) for name, child in launcher.children.items()}
     except ProcessLookupError:

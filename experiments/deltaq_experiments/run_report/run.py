@@ -222,7 +222,7 @@ class RunEvent:
         time_s: from the beginning of the recording [s].
         kind: its kind.
         robot: its name; empty if it concerns the cell.
-        text: for people.
+        text: for the report.
         count: how often it happened in a row.
     """
 

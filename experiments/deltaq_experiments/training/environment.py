@@ -99,7 +99,7 @@ class CameraTask:
 
 
 Observation = dict[str, RobotObservation]
-"""What is seen of the policy's `own` robot and of the `leader`."""
+"""Observations of the policy's `own` robot and of the `leader`."""
 
 
 class Episode:
@@ -252,7 +252,7 @@ class CameraEnvironment(gymnasium.Env[Observation, Array]):
         """Begin an episode.
 
         Args:
-            seed: of this episode and those after it; None goes on from the one before.
+            seed: of this episode and later ones; None continues the previous sequence.
             options: `start`, the configuration (n,) from which the follower begins in place of a random one [rad].
         """
         super().reset(seed=seed)

@@ -57,7 +57,7 @@ class Made:
         is_new: the authority was made too.
         made: names of the identities that were made.
         kept: names of identities that it had made earlier.
-        valid_until: end of the validity of what was made now.
+        valid_until: end of the validity of the new certificates.
     """
 
     authority: Path

@@ -217,7 +217,7 @@ class Increment(Message):
 
     `lease` is never sent, and is ignored if it is: the server fills in the lease. Over zenoh a proof shows the lease
     (`deltaq_protocol.proof`, with the token of the lease reply as the secret); over TCP the connection is the holder.
-    `sight` and `target` are for people: states repeat them, and no decision depends on them. `earlier` has the
+    `sight` and `target` are information: states repeat them, and no decision depends on them. `earlier` has the
     increments sent just before, the oldest first, for a link that loses messages. One of them is used if the lease
     has a jitter buffer and it has not come itself; without a jitter buffer they are ignored.
     """

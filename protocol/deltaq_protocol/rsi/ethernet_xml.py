@@ -38,7 +38,7 @@ RECEIVE_INTERNAL: dict[str, tuple[str, ...]] = {"EStr": ()} | _TECH
 """Elements that the controller itself understands; `EStr` is text for the pendant."""
 
 _TAG = re.compile(r"(DEF_)?([A-Za-z0-9_][A-Za-z0-9_-]*)(?:\.([A-Za-z0-9_][A-Za-z0-9_-]*))?")
-"""A name may begin with a digit, as in `Out.01`: the telegram is no XML document then, and is sent all the same."""
+"""A name may begin with a digit, as in `Out.01`: the telegram is then no XML document, and is still sent."""
 
 
 class ElementType(StrEnum):

@@ -216,7 +216,7 @@ class Console:
         session: str = "",
         page: str = "",
     ) -> None:
-        """Serve one browser until it has gone."""
+        """Serve one browser until it disconnects."""
         client, outputs = self.core.connect(name, is_operator, self.now_s(), address, session, page)
         if client is None:
             return

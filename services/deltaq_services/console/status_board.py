@@ -41,7 +41,7 @@ class EventLog:
         self._tell(ConsoleEvent(time_s=now_s, kind=kind, robot=robot, text=text))
 
     def repeat(self, now_s: float, kind: EventKind, group: str, text: str, robot: str = "") -> None:
-        """A line that may come every cycle: lines of one group count as one line while they keep coming."""
+        """Add a line that may come every cycle; repeated lines of a group count as one."""
         key = (kind, robot, group)
         event = ConsoleEvent(time_s=now_s, kind=kind, robot=robot, text=text)
         if key in self._quiet:

@@ -198,7 +198,7 @@ class _Served:
         return None
 
     async def live(self, websocket: WebSocket) -> None:
-        """The line of one browser, until it has gone."""
+        """Serve the WebSocket of one browser until it disconnects."""
         asked = websocket.query_params
         entrance = self._enter(websocket, asked.get("token", ""))
         origin = websocket.headers.get("origin")  # a program that is no browser does not say

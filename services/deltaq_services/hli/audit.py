@@ -464,7 +464,7 @@ class Audit:
         )
 
     def _shown(self, text: str, most: int) -> str:
-        """A stranger's text, without secrets, on one line, as a terminal may show it."""
+        """Text of an unknown client as one printable line without secrets."""
         for secret in self._secrets():
             text = text.replace(secret, _HIDDEN)
         shown = "".join(char if char.isprintable() else repr(char)[1:-1] for char in text[: most + 1])

@@ -196,7 +196,7 @@ class Authentication:
     def goes_first(self, key: str, message: bytes, proof: bytes, time_s: float) -> bool:
         """Whether a holder, or a client with a role, made a request that is no duplicate; one thread at a time may ask.
 
-        A proof that comes a second time, because it was overheard, proves nothing and waits among strangers' requests.
+        A replayed proof proves nothing, and its request waits among unproven ones.
         """
         if len(message) > MAX_MESSAGE_BYTES:
             return False

@@ -30,7 +30,7 @@ class GuardedFront:
     It connects to every Robot Server and to the SIM, and again whenever one of them is lost.
 
     Raises:
-        GuardedRealmError: an endpoint lets strangers in.
+        GuardedRealmError: an endpoint is open to other users.
         RuntimeFolderError: the folder of the sockets is not this user's alone.
     """
 

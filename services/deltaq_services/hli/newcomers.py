@@ -63,7 +63,7 @@ class Handshake(asyncio.Protocol):
         self._task = self._loop.create_task(self._agree(transport))
 
     def data_received(self, data: bytes) -> None:
-        """What was encrypted, and came with the end of the agreement."""
+        """Encrypted bytes received together with the end of the handshake."""
         if self._connection is None:
             self._early += data
         else:
@@ -200,7 +200,7 @@ class Newcomers:
             self._loop.add_reader(listener, self._let_in, listener)
 
     def _take_up(self) -> None:
-        """Take up some of those that wait."""
+        """Accept some of the waiting connections."""
         self._look = None
         self._listen_to_the_silent()
         chosen = list(islice((one for one in self._waiting if self._spoken.get(one)), _TAKEN_UP_A_TURN))

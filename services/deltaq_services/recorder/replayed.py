@@ -94,7 +94,7 @@ def replayed(path: Path, identity: str, most_ticks: int = MOST_TICKS) -> dict[st
 
 
 class _Track:
-    """What is known at each tick."""
+    """The data of each step."""
 
     def __init__(self, robots: tuple[str, ...], most_ticks: int) -> None:
         self.period_s = PERIOD_S

@@ -1,6 +1,6 @@
 """The recorder's session: writes received messages of HLI and SIM to a file.
 
-It is a separate process that only listens. Whatever happens to it, the cell goes on: senders drop the messages that it
+It is a separate process that only listens. It cannot disturb the cell: senders drop the messages that it
 is too slow to take.
 """
 

@@ -277,7 +277,7 @@ class RobotServer(Part):
         self._mode, self._lag, self._unwatched = self._new_mode(q), None, None
 
     def _watch(self, q: Array) -> None:
-        """Hold a robot that is not where it was sent though it has had the time, and end its motion if it goes on."""
+        """Hold a robot that is off its setpoint after settling, and end its motion if it still moves."""
         self._settling = self._settling.measured(q)
         if not self._settling.at_rest or self._settling.is_near(q, self._held_at):
             return

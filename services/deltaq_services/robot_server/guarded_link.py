@@ -47,7 +47,7 @@ class CycleStamps:
         )
 
     def published(self, state: ServerState) -> None:
-        """Stamp the telegram of a cycle, and its state, which is on its way now."""
+        """Stamp the telegram of a cycle, and its just published state."""
         outcome = outcome_of(state, self._last)
         self._last = state
         self._stamps.add(StampStation.STATE_OUT, state.robot, state.cycle, outcome)
@@ -90,7 +90,7 @@ class GuardedLink:
         counters: counts malformed messages.
 
     Raises:
-        GuardedRealmError: its endpoint lets strangers in.
+        GuardedRealmError: its endpoint is open to other users.
         RuntimeFolderError: the folder of the sockets is not this user's alone.
         ServiceUnreachableError: if its endpoint cannot be listened on.
     """

@@ -103,12 +103,12 @@ class Measurement:
     Attributes:
         ipoc: the KRC's stamp of this cycle.
         q: (n,) measured configuration [rad or m].
-        q_start: (n,) setpoint that the KRC has in the session that begins; None while the session goes on.
+        q_start: (n,) setpoint of the KRC in a session that begins; None within a session.
         missed_last: the KRC reports that the reply to its last telegram did not reach it in time.
         inputs: digital inputs by name.
         resumes: the session that begins has the correction that was sent last in it.
         cycle_known: the robot's controller was seen to tick as the cell says.
-        cycle_fault: why it does not, for people; empty if nothing speaks against it.
+        cycle_fault: the fault of the cycle, as text; empty without one.
     """
 
     ipoc: int

@@ -56,7 +56,7 @@ class PulsesCutShort(Part):
         self._last = None
 
     def undone(self, q_start: Array) -> Array:
-        """The setpoint (n,) of a session that goes on from `q_start` (n,), without the pulse that it was left with."""
+        """The setpoint (n,) of a session that continues from `q_start` (n,), without its interrupted pulse."""
         for q_cmd, setpoint in reversed(self._cut):
             if (np.abs(np.array(q_cmd) - q_start) <= _SAME).all():
                 return np.array(setpoint)

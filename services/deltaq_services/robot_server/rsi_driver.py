@@ -91,7 +91,7 @@ class RsiDriver(Part):
         fault: why the guard refused the last setpoint; None if it did not.
         session: beliefs about the telegrams.
         meter: of the KRC's cycle; None: it ticks as the cell says.
-        detail: faults, for people; empty if there are none.
+        detail: faults, as text; empty if there are none.
     """
 
     def __init__(self, codec: SensorCodec, cell: CellDescription, robot: str, counters: Counter[str]) -> None:

@@ -119,7 +119,7 @@ class Peer(Part):
 
     Attributes:
         address: of the KRC; None while it is not known.
-        stranger: the sender dropped last, for people; empty if none was.
+        stranger: the last dropped sender, as text; empty without one.
     """
 
     def __init__(self, krc_address: str | None, silence_s: float) -> None:
@@ -181,7 +181,7 @@ class Belief(StrEnum):
     UNKNOWN = "unknown"
     """No session was believed yet."""
     BELIEVED = "believed"
-    """A session goes on."""
+    """A session is believed."""
     DOUBTED = "doubted"
     """A session was believed, and telegrams come that do not belong to it."""
 

@@ -235,7 +235,7 @@ class Sim:
         return outputs
 
     def _reset(self, command: Command, robots: Sequence[GatedRobot]) -> list[ToTopic]:
-        """Order a reset, after which nothing goes on that was asked for before, and answer when each robot shows it."""
+        """Order a reset, drop earlier requests, and answer when each robot shows the reset."""
         outputs = []
         for robot in robots:
             refused = self._other_cell(robot) or robot.orders.reset(command.id)

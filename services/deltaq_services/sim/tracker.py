@@ -79,7 +79,7 @@ class History:
         return tuple(tuple(setpoint.tolist()) for setpoint in self._setpoints), tuple(self._passed)
 
     def restore(self, setpoints: Sequence[Sequence[float]], passed: Sequence[bool]) -> None:
-        """Go on from a snapshot; one of an earlier version does not say with which setpoints a cycle passed."""
+        """Restore a snapshot; those of earlier versions lack the setpoints of passed cycles."""
         self._setpoints = deque(np.array(setpoint) for setpoint in setpoints)
         self._passed = deque(passed or [True] * len(setpoints))
         self._cycles = sum(self._passed)

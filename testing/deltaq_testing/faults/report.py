@@ -26,7 +26,7 @@ class StoppingMotion(BaseModel):
     """How a robot moved from the cycle of a fault on.
 
     Attributes:
-        braked_after_cycles: KRC cycles until the first increment below cruise; None if the robot went on.
+        braked_after_cycles: KRC cycles until the first increment below cruise; None if the robot kept moving.
         rest_after_s: until the last increment; None if it moved to the end.
         travel_rad: of the joint that went furthest, until rest [rad or m]; None if it moved to the end.
         travel_tool_m: path of the tool until rest; None if it moved to the end.

@@ -58,7 +58,7 @@ class CrashRecord:
 
 
 class LastReply(NamedTuple):
-    """The last reply of a dead Robot Server, and what is known of it.
+    """The last reply of a dead Robot Server, and whether it was sent.
 
     Attributes:
         record: of its last reply.
