@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import signal
 import subprocess
@@ -214,13 +213,6 @@ def page_of(*blocks: str) -> str:
 
 
 SAYS = "<!-- run: sh -->\n```sh\necho one; echo two\n```"
-SERVES = "<!-- background: up -->\n```sh\ntrap 'exit 0' INT; echo up; while true; do sleep 1; done\n```"
-
-
-def test_the_runner_writes_files_types_commands_and_compares_output(tmp_path: Path) -> None:
-    write = "<!-- write: a.txt -->\n```text\nhello\n```"
-    run = "<!-- run: sh -->\n```sh\ncat a.txt\n```"
-    pages.Reader(tmp_path).read(page_of(write, run, "<!-- prints -->\n```text\nhello\n```"))
 
 
 @pytest.mark.parametrize(
@@ -238,29 +230,3 @@ def test_the_runner_writes_files_types_commands_and_compares_output(tmp_path: Pa
 def test_a_wrong_page_fails(tmp_path: Path, page: str, told: str) -> None:
     with pytest.raises(pages.PageError, match=re.escape(told)):
         pages.Reader(tmp_path).read(page)
-
-
-def test_a_terminal_runs_until_ctrl_c_or_the_end_of_the_page(tmp_path: Path) -> None:
-    pages.Reader(tmp_path).read(page_of(SERVES, SAYS, "<!-- Ctrl-C -->", SERVES))
-
-
-def test_long_blocks_are_left_to_the_nightly_tests(tmp_path: Path) -> None:
-    long = "<!-- nightly: sh -->\n```sh\ntouch done\n```"
-    pages.Reader(tmp_path).read(long)
-    assert not (tmp_path / "done").exists()
-    pages.Reader(tmp_path, patient=True).read(long)
-    assert (tmp_path / "done").exists()
-
-
-def test_a_command_beyond_its_deadline_ends_with_its_children(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(pages, "RUNS_WITHIN_S", 1.0)
-    os.mkfifo(tmp_path / "held")
-    held = os.open(tmp_path / "held", os.O_RDONLY | os.O_NONBLOCK)
-    page = page_of("<!-- run: sh -->\n```sh\n(echo begun; exec sleep 600) >held\n```")
-    with pytest.raises(subprocess.TimeoutExpired):
-        pages.Reader(tmp_path).read(page)
-    os.set_blocking(held, True)
-    with open(held) as rest:  # noqa: PTH123 # it is a descriptor
-        assert rest.read() == "begun\n"  # comes back when nobody holds the other end

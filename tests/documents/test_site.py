@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -99,39 +98,6 @@ def test_no_page_loads_files_from_other_hosts(site: Path) -> None:
     }
     assert loaded
     assert [address for address in loaded if address.startswith(("http:", "https:", "//"))] == []
-
-
-@pytest.mark.nightly
-def test_a_new_version_of_the_site_is_published_beside_the_former_one(tmp_path: Path) -> None:
-    programs = Path(sys.executable).parent
-    author = {f"GIT_{who}_{what}": "test" for who in ("AUTHOR", "COMMITTER") for what in ("NAME", "EMAIL")}
-    path = f"{programs}{os.pathsep}{os.environ['PATH']}"
-    environment = {**os.environ, **author, "NO_MKDOCS_2_WARNING": "1", "PATH": path}
-
-    def run(*command: str) -> str:
-        done = subprocess.run(
-            command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False
-        )
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
-    run("git", "init", "-q")
-    run("git", "commit", "-q", "--allow-empty", "-m", "begin")
-    # a page is enough to see what becomes of versions
-    config = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
-    without_api = re.sub(r"  api:\n(    - .*\n)+", "  api: []\n", config)
-    (tmp_path / "mkdocs.yml").write_text(without_api, encoding="utf-8")
-    (tmp_path / "docs").mkdir()
-    shutil.copy(ROOT / "docs" / "site_hooks.py", tmp_path / "docs")
-    for version in ("0.1.0", "0.2.0"):
-        (tmp_path / "docs" / "index.md").write_text(f"# Version {version}\n", encoding="utf-8")
-        run("mike", "deploy", "--update-aliases", version, "latest")
-    known = {
-        one["version"]: one["aliases"] for one in json.loads(run("git", "show", "gh-pages:versions.json"))
-    }
-    assert known == {"0.2.0": ["latest"], "0.1.0": []}
-    assert "Version 0.1.0" in run("git", "show", "gh-pages:0.1.0/index.html")
-    assert '"provider": "mike"' in run("git", "show", "gh-pages:0.2.0/index.html")
 
 
 def test_the_page_of_examples_names_every_example() -> None:
