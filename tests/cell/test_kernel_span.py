@@ -74,10 +74,6 @@ def test_coincident_points_make_a_span_of_zero_size():
     assert offsets.tolist() == [[0.0, 0.0]]
 
 
-def test_one_point_is_its_own_span():
-    assert span_around(np.array([[0.5]]))[0].tolist() == [0.5]
-
-
 @pytest.mark.parametrize("order", [1, -1])
 def test_a_corner_of_a_trajectory_is_a_vertex(order):
     points = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.5, 1.0], [3.0, 2.0]])[::order]

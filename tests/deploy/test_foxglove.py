@@ -94,21 +94,6 @@ def panels_in(node: Any) -> Iterator[str]:
         yield from panels_in(node["second"])
 
 
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("path", "told"),
-    [
-        ("deltaq/other/{robot}/state.phase", "is not recorded"),
-        ("deltaq/{cell}/{robot}/state.angle", "has no field angle"),
-        ("deltaq/{cell}/{robot}/state.q[99]", "no recorded message has"),
-        ("deltaq/{cell}/{robot}/state.q", "state.q"),
-    ],
-)
-def test_a_path_missing_from_recordings_is_found(cell: str, recorded: Messages, path: str, told: str) -> None:
-    with pytest.raises(AssertionError, match=re.escape(told)):
-        resolve(path.format(cell=cell, robot={"lab": "fr"}.get(cell, cell)), recorded)
-
-
 def test_every_field_is_in_a_recording_and_can_be_shown(
     cell: str, committed: dict[str, Any], recorded: Messages
 ) -> None:

@@ -13,7 +13,7 @@ from small_cell import endpoint
 VERBS = {
     "status": ("status",),
     "watch": ("status", "--watch", "--count", "1"),
-    "hz": ("topic", "hz", "--duration-s", "0.5"),
+    "hz": ("topic", "hz", "--duration-s", "2"),
     "echo": ("topic", "echo", "state", "--robot", "fr", "--count", "2"),
     "lease": ("lease", "--robot", "fr"),
     "stop": ("stop",),
