@@ -227,9 +227,11 @@ class FollowerProcess:
         sight, target = camera.sight, camera.target
         if sight is not None and self._sightings.add(sight, age_s, time_s):
             if sight is Sight.FRESH:
-                _log.info("%s: seen again", target.words())
+                _log.info("%s: seen as asked for again", target.words())
             elif sight is Sight.HIDDEN:
                 _log.warning("%s: %s by %s", target.words(), sight, ", ".join(camera.hidden_by))
+            elif sight is Sight.OUT_OF_REACH:
+                _log.warning("%s: %s: %s", target.words(), sight, ", ".join(camera.held_back_by))
             else:
                 _log.warning("%s: %s, its state is %.2f s old", camera.leader, sight, age_s)
         if target != self._target:

@@ -218,3 +218,19 @@ def test_after_several_targets_a_leader_is_watched_at_the_initial_point() -> Non
     assert in_use.target == ViewTarget(focus_m=(0.0, -0.8, 1.2))
     in_use.take(ViewWish(leader="gr"))
     assert in_use.target == ViewTarget(leader="gr", aim_offset_m=offset_m)
+
+
+@pytest.mark.parametrize("name", ["qp", "predictive"])
+def test_a_camera_that_cannot_come_as_far_as_asked_names_its_bounds_and_keeps_looking(name: str) -> None:
+    loop = Loop(name).run(3.0)
+    assert (loop.camera.sight, loop.camera.held_back_by) == (Sight.FRESH, ())
+    loop.run(8.0, ViewWish(distance_m=3.5))
+    angle_deg, distance_m = loop.looks_at(loop.tool("gr"))
+    assert loop.camera.sight is Sight.OUT_OF_REACH
+    assert loop.camera.held_back_by
+    assert angle_deg < 0.5
+    assert 1.5 < distance_m < 3.4
+    loop.run(8.0, ViewWish(distance_m=1.25))
+    assert (loop.camera.sight, loop.camera.held_back_by) == (Sight.FRESH, ())
+    assert loop.looks_at(loop.tool("gr"))[1] == pytest.approx(1.25, abs=0.01)
+    assert loop.violations == 0

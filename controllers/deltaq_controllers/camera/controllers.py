@@ -18,6 +18,7 @@ from deltaq_controllers.camera.escape.follower import EscapingFollower
 from deltaq_controllers.camera.follower import CameraFollower
 from deltaq_controllers.camera.qp_follower import QpFollower
 from deltaq_controllers.camera.scene import Scene, focus_of
+from deltaq_controllers.camera.standing_barriers import StandingBarriers
 from deltaq_controllers.interface import Controller, ControllerError, LastIncrement, View
 from deltaq_controllers.surroundings.setpoints import Foreseen
 from deltaq_protocol.arrays import Array
@@ -38,6 +39,7 @@ class CameraController:
         focus: (3,) fixed point in the world to look at in place of the leader's tool [m].
         aim_offset_m: (3,) point of the leader's tool to look at, in the tool's frame [m].
         extrapolates: whether the focus is the leader's predicted position, not the measured one.
+        barriers: of the robot's own bodies and of the structure; None for the published law alone.
 
     Attributes:
         follower, desired_distance_m, focus, aim_offset_m: as given; all but the first may be changed at any time.
@@ -54,13 +56,14 @@ class CameraController:
         aim_offset_m: tuple[float, float, float] = AIM_M,
         *,
         extrapolates: bool = True,
+        barriers: StandingBarriers | None = None,
     ) -> None:
         self.follower = follower
         self.desired_distance_m = desired_distance_m
         self.focus = focus
         self.aim_offset_m: Array = np.array(aim_offset_m)
         self.evades_below_m = follower.gains.repulsion_range_m
-        self._leader, self._extrapolates = leader, extrapolates
+        self._leader, self._extrapolates, self._barriers = leader, extrapolates, barriers
         self._last = LastIncrement(follower.limits.max_ddq)
         self.leader_seen = Foreseen(leader, follower.robot, follower.cycle_s)
 
@@ -73,9 +76,18 @@ class CameraController:
         self.leader_seen.update(own, leader)
         q_leader = self.leader_seen.ahead() if self._extrapolates else leader.q
         focus = self.focus_at(q_leader)
-        return self.follower.increment(
+        dq = self.follower.increment(
             own.q_cmd, dq_last, focus, q_leader, self.desired_distance_m, leader.time_s
         )
+        if self._barriers is None:
+            return dq
+        kept = self._barriers.increment(dq, own.q_cmd, dq_last, focus, self.desired_distance_m)
+        return dq if kept is dq else self.follower.limits.admissible(kept, own.q_cmd, dq_last)
+
+    @property
+    def bounds_met(self) -> tuple[str, ...]:
+        """The bounds that held the last increment back, for people; see `Bounded`."""
+        return () if self._barriers is None else self._barriers.bounds_met
 
     def focus_at(self, q_leader: Array) -> Array:
         """(3,) the focus in the world for a configuration of the leader [m]."""
@@ -84,7 +96,7 @@ class CameraController:
         return focus_of(self._leader.forward(q_leader), self.aim_offset_m)
 
     def clearance(self, q: Array, q_leader: Array) -> float:
-        """Least clearance of bounding spheres from the leader's and from the floor [m]."""
+        """Least clearance of bounding spheres from the leader's [m]."""
         return self.follower.clearance_at(q, q_leader)
 
     def errors(self, q: Array, q_leader: Array) -> tuple[float, float]:
@@ -142,6 +154,16 @@ class Seeing(Protocol):
         ...
 
 
+@runtime_checkable
+class Bounded(Protocol):
+    """A controller that reports what holds its arm back; all that come with the project do."""
+
+    @property
+    def bounds_met(self) -> tuple[str, ...]:
+        """Joints at a limit, and pairs of bodies that leave the last increment no room, for people."""
+        ...
+
+
 Maker = Callable[[Scene, float, Array | None], FocusController]
 """Makes a controller for a scene, a desired view distance [m] and a fixed focus (3,), None for the leader's tool."""
 
@@ -166,8 +188,15 @@ def camera_controller_named(
     """
     if name in ("paper", "predictive"):
         follower, ahead = CameraFollower(scene.robot, scene.leader, scene.cycle_s), name == "predictive"
+        barriers = StandingBarriers(scene, follower.limits)
         return CameraController(
-            follower, scene.leader, distance_m, focus, scene.aim_offset_m, extrapolates=ahead
+            follower,
+            scene.leader,
+            distance_m,
+            focus,
+            scene.aim_offset_m,
+            extrapolates=ahead,
+            barriers=barriers,
         )
     if name == "qp":
         return QpFollower(scene, distance_m, focus)

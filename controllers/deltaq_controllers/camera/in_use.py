@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from deltaq_controllers.camera.controllers import Aiming, FocusController, Seeing
+from deltaq_controllers.camera.controllers import Aiming, Bounded, FocusController, Seeing
 from deltaq_controllers.camera.outlook import Outlook
 from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.surroundings.setpoints import LOST_S, Foreseen
@@ -97,6 +97,11 @@ class TargetChoice:
         self.chosen = next((first for first, counts in enumerate(self._counts) if counts), self.chosen)
 
 
+OFF_M, OFF_RAD = 0.05, math.radians(10.0)
+"""A view that is further off than one of these, in distance or angle, is not the requested one [m], [rad]."""
+UNREACHED_S = 1.0
+"""A view that has been off for so long and come no nearer is out of reach [s]."""
+
 LEARNING_CYCLES = 3
 """Cycles that a controller observes before it takes over, to learn how fast the robots move."""
 LOOK_S = 0.05
@@ -115,6 +120,7 @@ class CameraInUse:
         leader: the robot that is watched.
         evades_below_m: of the controller in use [m].
         hidden_by: names of the bodies that hid the target when it was looked for last.
+        held_back_by: the bounds that keep the camera from the requested view; empty while it is in reach.
     """
 
     def __init__(self, cameras: Mapping[str, FocusController], leader: str, outlook: Outlook) -> None:
@@ -127,6 +133,8 @@ class CameraInUse:
         self._choice = TargetChoice(1)
         self._looked_s, self._turn = -np.inf, 0
         self.hidden_by: tuple[str, ...] = ()
+        self.held_back_by: tuple[str, ...] = ()
+        self._off, self._nearer_s = math.inf, math.inf
 
     def take(self, wish: ViewWish | None) -> None:
         """Use a requested view from now on; a request that was taken before changes nothing."""
@@ -165,6 +173,8 @@ class CameraInUse:
             return leader.sight
         if self._choice.is_hidden:
             return Sight.HIDDEN
+        if self.held_back_by:
+            return Sight.OUT_OF_REACH
         return None if leader is None else Sight.FRESH
 
     @property
@@ -212,6 +222,24 @@ class CameraInUse:
             self.hidden_by = hidden_by or ()
         if self._choice.chosen != before:
             self._look_at(self.target)
+        self._compare(view)
+
+    def _compare(self, view: View) -> None:
+        """Notice when the view has not come nearer to the requested one for `UNREACHED_S`, and what holds the arm back.
+
+        A law whose weights stop the joints before their limits, or whose arm is stretched, meets no bound.
+        """
+        time_s, other = view.own.time_s, view.others.get(self.leader)
+        off = 0.0
+        if other is not None:
+            angle, distance = self.errors(view.own.q_cmd, other.q)
+            off = max(angle / OFF_RAD, abs(distance) / OFF_M)
+        if off < max(1.0, 0.9 * self._off) or time_s < self._nearer_s:
+            self._off, self._nearer_s = off, time_s
+        self.held_back_by = ()
+        if time_s - self._nearer_s >= UNREACHED_S:
+            met = self._camera.bounds_met if isinstance(self._camera, Bounded) else ()
+            self.held_back_by = met or ("the arm's reach",)
 
     def _look_at(self, target: ViewTarget) -> None:
         """Turn to a target."""

@@ -255,7 +255,7 @@ class CameraLaw:
             radii: (k,) their radii [m].
 
         Returns:
-            Least clearance from obstacles and floor [m].
+            Least clearance from obstacles [m].
         """
         self._kinematics.update(q)
         clearance = self._repulsion.approach(self._kinematics, obstacles, radii)
@@ -265,7 +265,7 @@ class CameraLaw:
         return clearance
 
     def clearance(self, q: Array, obstacles: Array, radii: Array) -> float:
-        """Least clearance at `q` (n,) from spheres, as `aim` takes them, and from the floor [m]."""
+        """Least clearance at `q` (n,) from spheres, as `aim` takes them [m]."""
         self._kinematics.update(q)
         return self._repulsion.approach(self._kinematics, obstacles, radii)
 

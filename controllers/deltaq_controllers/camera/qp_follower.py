@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from deltaq_cell.description import GateDescription
 from deltaq_controllers.camera.error import CameraPose, view_angle
 from deltaq_controllers.camera.qp_problem import (
     Aim,
@@ -39,7 +40,14 @@ from deltaq_controllers.interface import ControllerError, LastIncrement, RobotVi
 from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.redundancy import WeightedGradient, inverse_weights, limit_gradient
-from deltaq_controllers.surroundings.barriers import Barriers, Braking, Keeping, barriers_of, bounds
+from deltaq_controllers.surroundings.barriers import (
+    Barriers,
+    Braking,
+    Keeping,
+    barriers_of,
+    bounds,
+    bounds_met,
+)
 from deltaq_controllers.surroundings.neighbours import NearPairs, Neighbours
 from deltaq_controllers.surroundings.setpoints import Foreseen, OtherRobots
 from deltaq_protocol.arrays import Array
@@ -100,6 +108,7 @@ class QpFollower:
         self.barrier_m = scene.cell.description.gate.stop_distance_m + self.gains.clear_of_others_m
         self.evades_below_m = self.barrier_m + self.gains.others_range_m
         self.slack_m, self.unsolved = np.zeros(3), 0
+        self._newest: tuple[Array, Array, Barriers, NearPairs] | None = None
         self._scene, self._cycle_s = scene, cycle_s
         self._last = LastIncrement(self.limits.max_ddq)
         self._camera = Kinematics(robot, "camera")
@@ -109,7 +118,7 @@ class QpFollower:
         self._others = OtherRobots(scene.cell, scene.robot_name)
         self._neighbours = Neighbours(scene.cell, scene.robot_name, MOST_PAIRS)
         foreign, gains = self._neighbours.foreign, self.gains
-        margins = self._margin_of_pairs()
+        margins = margins_of(self._neighbours, scene.cell.description.gate, gains)
         self._ranges = margins + np.where(foreign, gains.others_range_m, gains.barrier_range_m)
         shares = np.where(foreign, gains.others_share, gains.barrier_share)
         self._keeping = Keeping(foreign, margins, shares, gains.reaction_s, gains.others_brake_m_s2)
@@ -157,7 +166,15 @@ class QpFollower:
             self.unsolved += 1
             return self.limits.admissible(np.zeros_like(q), q, dq_last)
         dq, self.slack_m = solution
+        self._newest = q, dq, barriers, near
         return self.limits.admissible(dq, q, dq_last)
+
+    @property
+    def bounds_met(self) -> tuple[str, ...]:
+        """The bounds that held the last increment back, for people; see `Bounded`."""
+        if self._newest is None:
+            return ()
+        return bounds_met(self._scene.robot, *self._newest, self._neighbours.names)
 
     @property
     def leader_seen(self) -> Foreseen:
@@ -251,9 +268,10 @@ class QpFollower:
         back = -self.gains.room * limit_gradient(q, self.limits.lower, self.limits.upper)
         return back * min(1.0, self.gains.room_rate / max(float(np.linalg.norm(back)), 1e-9))
 
-    def _margin_of_pairs(self) -> Array:
-        gains, pairs, gate = self.gains, self._neighbours, self._scene.cell.description.gate
-        other = np.where(pairs.foreign, gains.clear_of_others_m, gains.clear_of_structure_m)
-        stop = np.where(pairs.same, gate.self_stop_distance_m, gate.stop_distance_m)
-        margins: Array = stop + np.where(pairs.same, gains.clear_of_self_m, other)
-        return margins
+
+def margins_of(pairs: Neighbours, gate: GateDescription, gains: QpGains) -> Array:
+    """(p,) least distance of each pair of bodies that barriers keep [m]."""
+    other = np.where(pairs.foreign, gains.clear_of_others_m, gains.clear_of_structure_m)
+    stop = np.where(pairs.same, gate.self_stop_distance_m, gate.stop_distance_m)
+    margins: Array = stop + np.where(pairs.same, gains.clear_of_self_m, other)
+    return margins

@@ -95,7 +95,8 @@ class Repulsion:
             radii: (k,) their radii [m].
 
         Returns:
-            Least clearance [m]; infinite if there is neither a floor nor an obstacle.
+            Least clearance from an obstacle [m]; infinite if there is none. The floor pushes, and no law gives up the
+            view for it: it does not come nearer by itself.
         """
         least, near, any_near = _approach(
             self._spheres, kinematics.placements(), self._within, Obstacles(obstacles, radii), self._floor
@@ -148,7 +149,7 @@ def _approach(
             least = min(least, clearance)
             near[k] |= clearance < within[i]
     above = centres[:, 2] - floor.height - floor.reach
-    return min(least, above.min()), near, bool(near.any() or (above < within).any())
+    return least, near, bool(near.any() or (above < within).any())
 
 
 @compiled

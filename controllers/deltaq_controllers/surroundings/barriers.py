@@ -5,12 +5,14 @@ Both are judged at the end of the brake with which the gate follows every increm
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_cell.compiled import compiled
+from deltaq_cell.robot import RobotModel
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.surroundings.neighbours import NearPairs
 from deltaq_protocol.arrays import Array
@@ -127,3 +129,39 @@ def bounds(limits: IncrementLimits, q: Array, dq_last: Array, cycles: int) -> tu
     least = np.maximum(np.minimum(slowest, fastest), room * (limits.lower - q))
     most = np.minimum(np.maximum(slowest, fastest), room * (limits.upper - q))
     return np.minimum(least, dq_last + hardest), np.maximum(most, dq_last - hardest)
+
+
+_AT_LIMIT = 0.01
+"""A joint this near to a limit is at it [rad or m]."""
+
+
+def bounds_met(
+    robot: RobotModel,
+    q: Array,
+    dq: Array,
+    barriers: Barriers,
+    near: NearPairs,
+    names: Sequence[tuple[str, str]],
+) -> tuple[str, ...]:
+    """The bounds that hold an arm back: its joints at a limit, and pairs of bodies whose barrier leaves no room.
+
+    Args:
+        robot: the robot.
+        q: (n,) its setpoint [rad or m].
+        dq: (n,) its next increment [rad or m].
+        barriers: of the distances of the `near` pairs.
+        near: those pairs.
+        names: of the bodies of each pair.
+
+    Returns:
+        Bounds for people, such as `a3 at its upper limit` or `fr/link_2 near fr/camera`.
+    """
+    met = []
+    for joint, at, lower, upper in zip(
+        robot.description.joint_names, q, robot.lower, robot.upper, strict=True
+    ):
+        if at > upper - _AT_LIMIT or at < lower + _AT_LIMIT:
+            met.append(f"{joint} at its {'upper' if at > upper - _AT_LIMIT else 'lower'} limit")
+    is_tight = (barriers.rows @ dq <= barriers.least + 1e-9) & (barriers.kinds != RESERVE)
+    tight = (names[near.pairs[place]] for place in barriers.places[is_tight])
+    return tuple(dict.fromkeys([*met, *(f"{one} near {other}" for one, other in tight)]))

@@ -25,13 +25,15 @@ MOST_TARGETS = 8
 class Sight(StrEnum):
     """How well a controller sees its target.
 
-    Its data of the followed robot are fresh, too old or missing; or a body hides the target from the camera.
+    Its data of the followed robot are fresh, too old or missing; or a body hides the target from the camera; or limits
+    or bodies keep the camera from the distance or direction that it is asked for.
     """
 
     FRESH = "fresh"
     STALE = "view_stale"
     LOST = "view_lost"
     HIDDEN = "view_hidden"
+    OUT_OF_REACH = "view_out_of_reach"
 
 
 AIM_M: TargetPoint = (0.0, 0.0, 0.04)

@@ -26,6 +26,7 @@ SIGHTS = {
     Sight.STALE: "its view of the leader is stale (view_stale)",
     Sight.LOST: "its view of the leader is lost (view_lost)",
     Sight.HIDDEN: "a body hides its camera's target (view_hidden)",
+    Sight.OUT_OF_REACH: "limits or bodies keep its camera from the view asked for (view_out_of_reach)",
     Sight.FRESH: "its camera sees its target",
 }
 """How well a camera sees its target, in words."""
