@@ -166,7 +166,7 @@ def test_the_camera_follows_the_leader_over_real_processes_until_sigterm_ends_bo
     for clock in view["clocks"].values():
         assert abs(clock["offset_s"]) <= clock["error_s"] + 0.1
     assert view["age_s"]["max"] >= view["age_s"]["rms"] >= 0.0
-    assert set(view) == {"fresh", "view_stale", "view_lost", "view_hidden", "changes", "age_s", "clocks"}
+    assert set(view) == {*Sight, "changes", "age_s", "clocks"}
     assert followed["distance_m"]["max"] < 1.0
 
 

@@ -18,6 +18,10 @@ POSE = ToolPose(position=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
         (Sight.STALE, "engaged, and its view of the leader is stale (view_stale)"),
         (Sight.LOST, "engaged, and its view of the leader is lost (view_lost)"),
         (Sight.HIDDEN, "engaged, and a body hides its camera's target (view_hidden)"),
+        (
+            Sight.OUT_OF_REACH,
+            "engaged, and limits or bodies keep its camera from the view asked for (view_out_of_reach)",
+        ),
     ],
 )
 def test_a_stale_lost_or_hidden_view_is_shown_beside_the_phase(sight: Sight | None, said: str) -> None:

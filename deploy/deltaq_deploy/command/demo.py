@@ -226,6 +226,8 @@ def in_words(summary: dict[str, Any]) -> tuple[str, ...]:
 
 def _followed(tracking: dict[str, Any] | None) -> str:
     """How well the camera followed, beside the paper."""
+    from deltaq_protocol.messages import Sight
+
     if not tracking:
         return "it reported no figures"
     angle_deg, distance_m = tracking["angle_deg"], tracking["distance_m"]
@@ -237,8 +239,9 @@ def _followed(tracking: dict[str, Any] | None) -> str:
         f"{PAPER_DISTANCE_CM:g} cm"
     )
     view = tracking["view"]
-    looked = sum(view[sight] for sight in ("fresh", "view_stale", "view_lost", "view_hidden"))
-    return f"{told}; it saw the target in {view['fresh'] / looked:.0%} of the cycles" if looked else told
+    looked = sum(view[sight.value] for sight in Sight)
+    seen = view[Sight.FRESH] + view[Sight.OUT_OF_REACH]
+    return f"{told}; it saw the target in {seen / looked:.0%} of the cycles" if looked else told
 
 
 def show(summary: dict[str, Any]) -> None:

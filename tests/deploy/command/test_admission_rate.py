@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from deltaq_deploy.command.demo import NEXT, admission_rate, in_words
-from deltaq_protocol.messages import LeaseStatus, Phase, RobotStatus
+from deltaq_protocol.messages import LeaseStatus, Phase, RobotStatus, Sight
 
 
 def status(cycle: int, **counters: int) -> RobotStatus:
@@ -37,7 +37,7 @@ def test_the_rate_counts_only_cycles_between_two_readings() -> None:
 
 
 def summary(angle_deg: float | None, **sights: int) -> dict[str, Any]:
-    seen = dict.fromkeys(("fresh", "view_stale", "view_lost", "view_hidden"), 0) | sights
+    seen = {sight.value: 0 for sight in Sight} | sights
     figures = {"rms": angle_deg, "max": 0.5, "final": 0.1}
     return {
         "cycle_s": 0.012,

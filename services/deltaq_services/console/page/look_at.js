@@ -36,7 +36,8 @@ export function lookAtPanel({ live, scene, driven }, ask) {
     const robot = live.robot(driven.name);
     if (box.hidden || !robot) return;
     fill();
-    say(told, robot.looks_at ? `now ${robot.looks_at}${robot.sight === "view_hidden" ? ", hidden" : ""}` : "");
+    const off = { view_hidden: ", hidden", view_out_of_reach: ", out of reach" }[robot.sight] ?? "";
+    say(told, robot.looks_at ? `now ${robot.looks_at}${off}` : "");
     [first, second].forEach((select, place) => {
       select.disabled = !!live.locked(driven.name);
       if (document.activeElement !== select) select.value = robot.targets[place] ?? "";
