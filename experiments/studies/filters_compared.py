@@ -78,9 +78,9 @@ class Servo:
 
 
 class WideServo(Servo):
-    """`Servo` with thresholds and a rate for a fast arm."""
+    """`Servo` with a rate and a threshold from obstacles for a fast arm."""
 
-    RATE_HZ, SELF_M, SCENE_M = 100.0, 0.1, 0.3
+    RATE_HZ, SCENE_M = 100.0, 0.1
 
 
 def slowed(distances: Array, threshold_m: float) -> float:
@@ -118,7 +118,19 @@ class Barrier:
         return u[:n] * self._cycle_s if found == 1 else np.zeros(n)
 
 
-OTHERS = {"threshold": Threshold, "servo": Servo, "servo, wide": WideServo, "barrier": Barrier}
+class QuickBarrier(Barrier):
+    """`Barrier` that brakes later."""
+
+    ALPHA = 10.0
+
+
+OTHERS = {
+    "threshold": Threshold,
+    "servo": Servo,
+    "servo, wide": WideServo,
+    "barrier": Barrier,
+    "barrier, quick": QuickBarrier,
+}
 
 
 def scene_of(folder: Path, told: dict[str, Any], request: dict[str, Any]) -> Scene | None:
@@ -149,9 +161,10 @@ def scene_of(folder: Path, told: dict[str, Any], request: dict[str, Any]) -> Sce
 
 
 def main() -> None:
-    """Add up the figures of each filter over the problems of both robots, and print them after each problem."""
+    """Add up the figures of each filter over the problems of a robot, and print them after each problem."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--robot", choices=("ur5", "panda"), default="panda")
     parser.add_argument("--every", type=int, default=50)
     parser.add_argument("--cycles", type=int, default=250, help="of each adversary")
     parser.add_argument("--ideal-drives", action="store_true")
@@ -159,16 +172,11 @@ def main() -> None:
     options = parser.parse_args()
     until, filters = time.monotonic() + options.limit_s, {**FILTERS, **OTHERS}
     rows, done = {name: Row() for name in filters}, 0
-    robots = [problems(options.data / robot, options.every) for robot in ("panda", "ur5")]
-    for robot, (name, number, told, request) in (
-        (robot, problem)
-        for pair in zip(*robots, strict=False)
-        for robot, problem in zip(("panda", "ur5"), pair, strict=True)
-    ):
+    for name, number, told, request in problems(options.data / options.robot, options.every):
         if time.monotonic() > until:
             break
         try:
-            scene = scene_of(options.data / robot, told, request)
+            scene = scene_of(options.data / options.robot, told, request)
         except GateError as error:
             print(name, number, error, flush=True)
             continue
