@@ -2,7 +2,7 @@
 
 Adversaries drive both robots of the lab cell into each other and into the structure, over several seeds, and each
 decision is timed. Of each run only some of the slowest are kept, so that the set does not show one corner alone. Others
-read what is stored here (`deltaq_experiments.bench.cornered`).
+read what is stored here (`deltaq_experiments.bench.decisions`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import msgpack
 import numpy as np
 
 from deltaq_deploy.launch.program import run_program
-from deltaq_experiments.bench.cornered import CELL, FILE, CorneredSituation
+from deltaq_experiments.bench.decisions import CELL, FILE, CorneredSituation
 from deltaq_protocol.codec import pack
 from deltaq_protocol.guarded import Request
 from deltaq_protocol.messages import Message, Outcome, Phase, Verdict

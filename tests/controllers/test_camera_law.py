@@ -6,8 +6,7 @@ from closed_loop import CYCLE_S, lab, with_camera
 
 from deltaq_cell.description import Camera, Pose
 from deltaq_controllers.camera.error import look
-from deltaq_controllers.camera.gains import FollowerGains
-from deltaq_controllers.camera.law import CameraLaw
+from deltaq_controllers.camera.law import CameraLaw, FollowerGains
 from deltaq_controllers.kinematics import Kinematics
 
 FREE = FollowerGains(damping=1e-6, turn_rad_s2=1e9, repulsion=0.0)

@@ -8,7 +8,7 @@ import pytest
 
 from deltaq_controllers.camera.clear_view import SightGains
 from deltaq_controllers.camera.escape.rollout import EscapeGains
-from deltaq_controllers.camera.gains import FollowerGains
+from deltaq_controllers.camera.law import FollowerGains
 from deltaq_controllers.camera.qp_problem import QpGains
 from reference_pages.gain_sources import ESCAPE, FOLLOWER, QP, SIGHT, GainSource
 

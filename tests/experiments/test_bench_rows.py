@@ -9,8 +9,7 @@ from pathlib import Path
 import msgpack
 import pytest
 
-from deltaq_experiments.bench.cornered import CorneredError, stored
-from deltaq_experiments.bench.decisions import near_obstacles
+from deltaq_experiments.bench.decisions import CorneredError, near_obstacles, stored
 from deltaq_experiments.bench.rsi_reply import standing_telegrams
 from deltaq_experiments.bench.table import BenchRow, BenchTable
 from deltaq_protocol.codec import InvalidMessageError

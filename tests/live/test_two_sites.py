@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from networks import why_none
 
-from deltaq_deploy.launch.exit_status import INTERRUPTED
+from deltaq_deploy.launch import INTERRUPTED
 from deltaq_emulator.faults import LinkFaults
 from studies.two_sites.packets import packet_link
 from studies.two_sites.sites import sites

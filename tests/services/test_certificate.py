@@ -9,7 +9,7 @@ from spans import exact_drives
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.compiled_proximity import CompiledProximity
-from deltaq_experiments.bench.cornered import stored
+from deltaq_experiments.bench.decisions import stored
 from deltaq_services.sim.certificate import HALVINGS, Certificate, Certifier, Suspects, largest
 from deltaq_services.sim.compiled_certificate import CompiledCertifier
 from deltaq_services.sim.core import Sim

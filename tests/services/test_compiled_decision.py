@@ -13,7 +13,7 @@ from spans import exact_drives
 
 from deltaq_cell.decisions import Decisions
 from deltaq_cell.kernel.course import course_points, lay_course
-from deltaq_experiments.bench.cornered import stored
+from deltaq_experiments.bench.decisions import stored
 from deltaq_services.sim.compiled_certificate import Blend, CompiledCertifier
 from deltaq_services.sim.core import Sim
 from deltaq_services.sim.tube import Branch, tube

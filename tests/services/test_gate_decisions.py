@@ -301,7 +301,7 @@ from deltaq_cell.__main__ import main
 from deltaq_cell.compiled import told_of_compiling
 main()
 from deltaq_cell.cell_model import CellModel
-from deltaq_experiments.bench.cornered import stored
+from deltaq_experiments.bench.decisions import stored
 from deltaq_protocol import topics
 from deltaq_services.sim.core import Sim
 outcomes = set()

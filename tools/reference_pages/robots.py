@@ -11,7 +11,7 @@ from deltaq_cell import description
 from deltaq_cell.load import load_cell
 from deltaq_controllers.camera.clear_view import SightGains
 from deltaq_controllers.camera.escape.rollout import EscapeGains
-from deltaq_controllers.camera.gains import FollowerGains
+from deltaq_controllers.camera.law import FollowerGains
 from deltaq_controllers.camera.qp_problem import QpGains
 from deltaq_controllers.criteria import TABLE as CRITERIA
 from deltaq_deploy.command.app import app

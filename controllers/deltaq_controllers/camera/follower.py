@@ -8,8 +8,7 @@ import numpy as np
 
 from deltaq_cell.compiled import compiled
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.camera.gains import FollowerGains
-from deltaq_controllers.camera.law import CameraLaw
+from deltaq_controllers.camera.law import CameraLaw, FollowerGains
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.redundancy import Emergency

@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from typing import NoReturn
 
-from deltaq_deploy.launch.exit_status import INTERRUPTED, USAGE
+from deltaq_deploy.launch import INTERRUPTED, USAGE
 
 
 def main() -> None:

@@ -28,7 +28,7 @@ from deltaq_deploy.command import (
     watch,
 )
 from deltaq_deploy.command.krc_lag import lag
-from deltaq_deploy.launch.exit_status import USAGE
+from deltaq_deploy.launch import USAGE
 
 RENAMED = {
     "top": "status --watch",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deltaq_deploy.command.options import CellOption, ConsoleOption, JsonOption
-from deltaq_deploy.launch.exit_status import BAD
+from deltaq_deploy.launch import BAD
 
 if TYPE_CHECKING:
     from rich.console import Console

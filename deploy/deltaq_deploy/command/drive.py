@@ -21,7 +21,7 @@ from deltaq_deploy.command.options import (
     two_criteria,
     weights_of,
 )
-from deltaq_deploy.launch.exit_status import BAD
+from deltaq_deploy.launch import BAD
 
 if TYPE_CHECKING:
     from contextlib import ExitStack

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deltaq_deploy.command.options import CellOption, JsonOption, RobotOption, TokenOption, UrlOption
-from deltaq_deploy.launch.exit_status import BAD
+from deltaq_deploy.launch import BAD
 from deltaq_protocol.errors import DeltaqError
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import typer
 
 from deltaq_controllers.camera import FOLLOWS
 from deltaq_deploy.command.options import CellOption, ControllerOption, JsonOption
-from deltaq_deploy.launch.exit_status import BAD
+from deltaq_deploy.launch import BAD
 
 if TYPE_CHECKING:
     from deltaq_experiments.bench.live import LiveOptions, LiveRun
@@ -278,7 +278,7 @@ def bench(
 def _alone(cell: str, cycles: int, json: bool) -> bool:
     from deltaq_deploy.command.console import print_json, progress_bar, shown_compiled_ahead
     from deltaq_deploy.launch.prepare import Needed
-    from deltaq_experiments.bench.measure import run
+    from deltaq_experiments.bench.decisions import run
 
     with shown_compiled_ahead(Needed()), progress_bar("measuring") as move:
         table = run(cell, cycles, move)

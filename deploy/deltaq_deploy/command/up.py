@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deltaq_deploy.command.options import CellOption, ConsoleOption
-from deltaq_deploy.launch.exit_status import BAD
+from deltaq_deploy.launch import BAD
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deltaq_deploy.command.options import CellOption, JsonOption, UrlOption
-from deltaq_deploy.launch.exit_status import BAD
+from deltaq_deploy.launch import BAD
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 from typing import NoReturn
 
-from deltaq_deploy.launch.exit_status import BAD, DONE, INTERRUPTED, UNREACHABLE, USAGE
+from deltaq_deploy.launch import BAD, DONE, INTERRUPTED, UNREACHABLE, USAGE
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
 
 

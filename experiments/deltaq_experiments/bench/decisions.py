@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import gc
+import gzip
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 
+import msgpack
 import numpy as np
 import pinocchio as pin
 
@@ -16,10 +19,13 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_cell.group import make_reproducible
 from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.leader.scripted import ScriptedLeader
-from deltaq_experiments.bench.cornered import CELL, CorneredSituation, stored
-from deltaq_experiments.bench.table import BenchRow
+from deltaq_experiments.bench.rsi_reply import rsi_reply
+from deltaq_experiments.bench.table import BenchRow, BenchTable
 from deltaq_experiments.scene import camera_controller, scene_of
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.codec import unpack
+from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.guarded import GateMemory, Request
 from deltaq_services.sim.core import Decider, Sim
 from deltaq_services.sim.gate import Decision
 from deltaq_services.sim.tracker import Tracker
@@ -29,6 +35,49 @@ PASSES = 5
 """Number of decisions of each stored situation; the median of their times counts, to exclude interference by other
 programs.
 """
+
+
+# Stored situations near obstacles that cost the gate most time.
+#
+# `python -m studies.cornered` found them. Adversaries drive both robots of the lab cell into each other and into
+# the structure, over several seeds, and each decision is timed. Kept are the gate's memory before a decision and the
+# request that it decided, of those that took longest.
+
+CELL = "lab"
+"""The cell that the situations are of."""
+FILE = Path(__file__).with_name("cornered.msgpack.gz")
+
+
+class CorneredError(DeltaqError):
+    """The stored situations cannot be read."""
+
+
+@dataclass(frozen=True)
+class CorneredSituation:
+    """The inputs of one decision.
+
+    Attributes:
+        memory: of the gate.
+        request: the request to decide.
+    """
+
+    memory: GateMemory
+    request: Request
+
+
+def stored(file: Path = FILE) -> list[CorneredSituation]:
+    """The stored situations.
+
+    Raises:
+        CorneredError: if the file is damaged.
+        InvalidMessageError: if its messages are not those of this version.
+    """
+    try:
+        pairs = msgpack.unpackb(gzip.decompress(file.read_bytes()))
+        split = [(bytes(memory), bytes(request)) for memory, request in pairs]
+    except (OSError, EOFError, ValueError, TypeError) as error:
+        raise CorneredError(f"{file} holds no situations: {error}; write it anew") from error
+    return [CorneredSituation(unpack(GateMemory, one), unpack(Request, other)) for one, other in split]
 
 
 clock = time.thread_time
@@ -151,4 +200,24 @@ def near_obstacles(situations: Sequence[CorneredSituation] | None = None, passes
         seconds,
         references,
         longest_at_most=2.0,
+    )
+
+
+def run(
+    cell_name: str | Path = "lab", cycles: int = 400, on_cycle: Callable[[int, int], None] | None = None
+) -> BenchTable:
+    """All rows of `deltaq bench`.
+
+    Args:
+        cell_name: cell with a camera robot `fr` and a leader `gr`, whose decisions are timed while the camera tracks;
+            the other rows are of shipped cells.
+        cycles: cycles of tracking.
+        on_cycle: called with the number of cycles done and the number of all.
+    """
+    return BenchTable(
+        rows=(
+            rsi_reply(),
+            tracking(cell_name, cycles, on_cycle or (lambda _done, _of: None)),
+            near_obstacles(),
+        )
     )

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from deltaq_deploy.launch.exit_status import BAD, DONE, INTERRUPTED, USAGE
+from deltaq_deploy.launch import BAD, DONE, INTERRUPTED, USAGE
 
 ROOT = Path(__file__).parents[3]
 PROGRAMS = sorted(
