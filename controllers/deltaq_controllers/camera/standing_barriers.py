@@ -15,6 +15,7 @@ from deltaq_controllers.camera.error import CameraPose, look_on, view_jacobians
 from deltaq_controllers.camera.qp_follower import MOST_PAIRS, margins_of
 from deltaq_controllers.camera.qp_problem import QpGains, QuadraticProgram, Tasks, step
 from deltaq_controllers.camera.scene import Scene
+from deltaq_controllers.camera.subtasks import roll_effects
 from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.surroundings.barriers import (
@@ -63,8 +64,8 @@ class StandingBarriers:
         first = sum(each.n for each in list(robots.values())[: list(robots).index(own)])
         self._own = slice(first, first + robot.n)
         self._rates = np.zeros_like(self._joints)
-        self._weights = np.full(3 + robot.n, _JOINTS_WEIGHT)
-        self._weights[:2], self._weights[2] = gains.angle_weight, gains.distance_weight
+        views = [gains.angle_weight, gains.angle_weight, gains.distance_weight, gains.roll_weight]
+        self._weights = np.array([*views, *np.full(robot.n, _JOINTS_WEIGHT)])
         self._is_stuck = False
         self._newest: tuple[Array, Array, Barriers, NearPairs] | None = None
         # compiles everything now
@@ -108,7 +109,7 @@ class StandingBarriers:
         return () if self._newest is None else bounds_met(self._robot, *self._newest, self._neighbours.names)
 
     def _tasks(self, dq: Array, q: Array, focus: Array, desired_distance_m: float, rests: bool) -> Tasks:
-        """Change view and distance as the law does, and move the joints as it does.
+        """Change view, distance and roll as the law does, and move the joints as it does.
 
         The law begins anew in each cycle. Where its first increment leads away from the distance, an arm at rest stays
         there for ever: until it is at its distance, the distance is approached as by the quadratic programme.
@@ -118,7 +119,8 @@ class StandingBarriers:
         pose = CameraPose(self._camera.rotation, self._camera.position, self._camera.twists)
         view = look_on(pose.rotation, pose.position, focus, pose.twists)
         turning, approach = view_jacobians(view, pose.position, focus, pose.twists)
-        rows = np.vstack([turning / view.stretch, approach, np.eye(len(q))])
+        levelling = roll_effects(pose.rotation, pose.twists[3:])
+        rows = np.vstack([turning / view.stretch, approach, levelling, np.eye(len(q))])
         wanted = rows @ dq
         error = view.distance - desired_distance_m
         self._is_stuck = abs(error) > _NEAR_M and (self._is_stuck or (rests and wanted[2] * error < 0.0))
