@@ -212,8 +212,8 @@ def alone(chromium, lone_console):
         page.add_init_script(f"line.status = {json.dumps(status())}")
         page.goto(lone_console)
         page.wait_for_selector("[data-ready=true]", state="attached")
-        # a page that draws slowly has an old picture now and then, and would let go of what is held
-        page.evaluate("deltaq.live.age_s = () => 0")
+        # a page that stands still for a while has an old picture and a silent line, and would let go of what is held
+        page.evaluate("deltaq.live.age_s = () => 0; deltaq.live.connection.pulse = () => {}")
         return page
 
     yield open_page
