@@ -187,6 +187,10 @@ class Spared:
         self._spared: Counter[str] = Counter()
         self._admitted: set[str] = set()
 
+    def is_spared(self, robot: str) -> bool:
+        """Whether the newest supervision message to a robot was spared."""
+        return self._spared[robot] > 0
+
     def spares(self, message: Message) -> bool:
         """Whether a message of the gate need not be sent; to be asked of each, in order."""
         if isinstance(message, Admission):
