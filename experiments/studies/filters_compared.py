@@ -22,8 +22,8 @@ import numpy as np
 
 from deltaq import Gate, GateError
 from deltaq_deploy.launch.program import run_program
-from deltaq_experiments.bench.filter_scenes import Distances, Scene
-from deltaq_experiments.bench.filters import FILTERS, Row, compare
+from deltaq_experiments.bench.filter_scenes import Distances, FilterScene
+from deltaq_experiments.bench.filters import FILTERS, FilterRow, compare
 from deltaq_protocol.arrays import Array
 from studies.foreign_scenes import (
     CYCLE_S,
@@ -40,7 +40,7 @@ from studies.foreign_scenes import (
 class Threshold:
     """Holds where the next setpoint is nearer than a stop distance, unless it is farther than the present one."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: FilterScene) -> None:
         self._distances = Distances(scene)
 
     def __call__(self, q: Array, dq: Array) -> Array:
@@ -63,7 +63,7 @@ class Servo:
     RATE_HZ = 10.0  # collision_check_rate
     SELF_M, SCENE_M = 0.01, 0.02  # self_ and scene_collision_proximity_threshold
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: FilterScene) -> None:
         self._distances = Distances(scene)
         self._every = round(1 / self.RATE_HZ / scene.cycle_s)
         self._cycle, self._scale = 0, 1.0
@@ -101,7 +101,7 @@ class Barrier:
     PRICE = 1e3
     FASTEST_M_S = 3.0  # at which two bodies approach, so that farther pairs need no row
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: FilterScene) -> None:
         self._distances, self._cycle_s = Distances(scene), scene.cycle_s
         self._fastest = scene.max_velocity
 
@@ -133,7 +133,7 @@ OTHERS = {
 }
 
 
-def scene_of(folder: Path, told: dict[str, Any], request: dict[str, Any]) -> Scene | None:
+def scene_of(folder: Path, told: dict[str, Any], request: dict[str, Any]) -> FilterScene | None:
     """The scene of a problem of MotionBenchMaker with a path that solves it; None without one."""
     urdf, srdf = folder / f"{folder.name}.urdf", folder / f"{folder.name}.srdf"
     at = dict(zip(*(request["start_state"]["joint_state"][key] for key in ("name", "position")), strict=True))
@@ -145,7 +145,7 @@ def scene_of(folder: Path, told: dict[str, Any], request: dict[str, Any]) -> Sce
         urdf, CYCLE_S, obstacles_of(told), start, srdf=srdf, stop_distance_m=STOP_M,
         self_stop_distance_m=SELF_STOP_M,
     )  # fmt: skip
-    scene = Scene.of(gate, str(urdf), str(srdf))
+    scene = FilterScene.of(gate, str(urdf), str(srdf))
     target = np.array([goal[joint] for joint in gate.cell.robots["arm"].joint_names])
     clear = Distances(scene).clear
     if not (clear(scene.q) and clear(target)):
@@ -171,7 +171,7 @@ def main() -> None:
     parser.add_argument("--limit-s", type=float, default=1e9, help="no problem is begun after it")
     options = parser.parse_args()
     until, filters = time.monotonic() + options.limit_s, {**FILTERS, **OTHERS}
-    rows, done = {name: Row() for name in filters}, 0
+    rows, done = {name: FilterRow() for name in filters}, 0
     for name, number, told, request in problems(options.data / options.robot, options.every):
         if time.monotonic() > until:
             break

@@ -183,7 +183,7 @@ NO_CELL = [
     ("cell: &a\n  b: *a\n", 2, "the value of alias 'a' would contain itself"),
     ("cell: &a b\ncycle_s: &a 1\n", 2, "the anchor 'a' is there twice"),
     ("- " * (1 << 18), 1, "nested deeper than 24"),
-    ("cell: !!binary aaaa\n", 1, "means nothing here"),
+    ("cell: !!binary aaaa\n", 1, "is not supported here"),
     ("cell: a\n<<: 3\n", 2, "'<<' merges a mapping"),
     ("a: &a [1]\n" + "".join(f"b{i}: &b{i} [{', '.join([f'*b{i - 1}' if i else '*a'] * 10)}]\n" for i in range(9)),
      None, "look at its aliases"),

@@ -13,7 +13,7 @@ import pytest
 
 from deltaq import GateError
 from deltaq_experiments.bench.filter_scenes import Distances, drawn_scene
-from deltaq_experiments.bench.filters import Arm, Follower, Row, compare, named
+from deltaq_experiments.bench.filters import DrivenArm, FilterRow, Follower, compare, named
 from studies.filters_compared import OTHERS, slowed
 
 OWN = """
@@ -52,8 +52,8 @@ def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def compared(names: list[str], cycles: int = 12, ideal: bool = False) -> dict[str, Row]:
-    rows = {name: Row() for name in names}
+def compared(names: list[str], cycles: int = 12, ideal: bool = False) -> dict[str, FilterRow]:
+    rows = {name: FilterRow() for name in names}
     filters = {name: OTHERS.get(name) or named(name) for name in names}
     list(compare(filters, drawn_scene(0), rows, cycles, 0, ideal))
     return rows
@@ -117,7 +117,7 @@ def test_drives_stop_no_faster_than_their_limits_unless_they_are_ideal():
     scene = drawn_scene(0)
     change = scene.max_acceleration * scene.cycle_s**2
     for ideal in (False, True):
-        arm = Arm(scene, scene.q, ideal)
+        arm = DrivenArm(scene, scene.q, ideal)
         arm.dq = 0.9 * scene.max_velocity * scene.cycle_s
         stop = arm.stop(arm.dq)[-1] - arm.q
         dq = arm.dq
@@ -133,7 +133,7 @@ def test_drives_stop_no_faster_than_their_limits_unless_they_are_ideal():
 def test_a_path_is_done_in_its_own_time_without_a_filter():
     scene = drawn_scene(0)
     for path in scene.paths:
-        arm, follower = Arm(scene, path[0], False), Follower(path)
+        arm, follower = DrivenArm(scene, path[0], False), Follower(path)
         for _ in path[1:]:
             before = arm.q
             arm.move(arm.possible(follower.wish(arm.q)))

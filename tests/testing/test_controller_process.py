@@ -123,7 +123,7 @@ def test_a_silent_program_ends_the_run_with_a_remedy(cell, command, told):
     patience_s = 20.0 if "said nothing" in told else 0.5
 
     def run():
-        impatient = ControllerProcess(command, patience_s)
+        impatient = ControllerProcess(command, patience_s=patience_s)
         cell._programs.append(impatient)
         cell.connect(lambda say: LineController("fr", impatient, cell.note, cell.close, say))
         cell.run(0.2)

@@ -454,10 +454,10 @@ def filters(
     from deltaq_deploy.command.console import print_json, print_table, progress_bar, shown_compiled_ahead
     from deltaq_deploy.launch.prepare import Needed
     from deltaq_experiments.bench.filter_scenes import ROBOT, drawn_scene
-    from deltaq_experiments.bench.filters import FILTERS, Row, compare, named
+    from deltaq_experiments.bench.filters import FILTERS, FilterRow, compare, named
 
     found = {name: named(name) for name in names or FILTERS}
-    rows = {name: Row() for name in found}
+    rows = {name: FilterRow() for name in found}
     with shown_compiled_ahead(Needed()), progress_bar("comparing") as move:
         for number in range(seed, seed + scenes):
             done = compare(found, drawn_scene(number), rows, cycles, number, ideal_drives)

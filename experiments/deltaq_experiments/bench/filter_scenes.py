@@ -37,7 +37,7 @@ NEAR_M = 0.06
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class FilterScene:
     """An arm among bodies: what a filter may know.
 
     Attributes:
@@ -67,7 +67,7 @@ class Scene:
     paths: list[Array] = field(default_factory=list)
 
     @classmethod
-    def of(cls, gate: Gate, urdf: str, srdf: str | None = None) -> Scene:
+    def of(cls, gate: Gate, urdf: str, srdf: str | None = None) -> FilterScene:
         """The scene of a gate that `Gate.from_urdf` made."""
         robot, cell = gate.cell.robots["arm"], gate.cell.description
         never, found = robot.never_checked_pairs(), defaultdict[bool, set[frozenset[str]]](set)
@@ -88,7 +88,7 @@ class Distances:
         own: how many of the pairs are of two links; the others are of a link and an obstacle.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: FilterScene) -> None:
         source = load_urdf(scene.urdf)
         self._model = parse_model(source, {})
         self._data = self._model.createData()
@@ -162,10 +162,10 @@ def _shape(obstacle: Obstacle) -> Any:
 
 
 @cache
-def drawn_scene(seed: int) -> Scene:
+def drawn_scene(seed: int) -> FilterScene:
     """A KR 16 among boxes that are drawn from a seed, with straight paths that pass near a body."""
     rng = np.random.default_rng(seed)
-    bare = Scene.of(Gate.from_urdf(ROBOT, CYCLE_S, q=HOME), ROBOT)
+    bare = FilterScene.of(Gate.from_urdf(ROBOT, CYCLE_S, q=HOME), ROBOT)
     boxes: dict[str, Obstacle] = {}
     while len(boxes) < BOXES:
         size_m = rng.uniform(0.1, 0.4, 3).tolist()

@@ -1,8 +1,8 @@
 """Filters between a program and an arm, compared by what they let through and what they cost: `deltaq bench filters`.
 
 A filter is a function `(q, dq) -> dq`: the arm is at `q` (n,) and is asked to move by `dq` (n,) in this cycle; what the
-function returns is sent [rad or m]. A class is taken, too: `NAME(scene)` makes a filter for a `Scene`, and its method
-`start(q)`, if it has one, is called where the arm is put to `q`.
+function returns is sent [rad or m]. A class is taken, too: `NAME(scene)` makes a filter for a `FilterScene`, and its
+method `start(q)`, if it has one, is called where the arm is put to `q`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 
 from deltaq import Gate, GateError
 from deltaq.obstacles import numbers
-from deltaq_experiments.bench.filter_scenes import Distances, Scene
+from deltaq_experiments.bench.filter_scenes import Distances, FilterScene
 from deltaq_protocol.arrays import Array
 from deltaq_testing.scenario.file import ScenarioError
 from deltaq_testing.scenario.run import resolved, where
@@ -40,7 +40,7 @@ def no_filter(_q: Array, dq: Array) -> Array:
 class TheGate:
     """`deltaq.Gate`, with the stop distances of the scene."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: FilterScene) -> None:
         self._gate = Gate.from_urdf(
             scene.urdf, scene.cycle_s, scene.obstacles, scene.q, srdf=scene.srdf,
             stop_distance_m=scene.stop_distance_m, self_stop_distance_m=scene.self_stop_distance_m,
@@ -80,11 +80,11 @@ def named(name: str) -> Callable[..., Any]:
 
 
 @dataclass
-class Adversary:
+class RequestAdversary:
     """Asks for the fastest increments: at random, straight at the nearest body, or there and away from it."""
 
     kind: str
-    scene: Scene
+    scene: FilterScene
     distances: Distances
     rng: np.random.Generator
     left: int = 0
@@ -129,10 +129,10 @@ class Follower:
         return setpoint
 
 
-class Arm:
+class DrivenArm:
     """Drives that follow increments as far as their acceleration limits allow; whole ones at once if `ideal`."""
 
-    def __init__(self, scene: Scene, q: Array, ideal: bool) -> None:
+    def __init__(self, scene: FilterScene, q: Array, ideal: bool) -> None:
         self._scene, self._ideal = scene, ideal
         self.q, self.dq = q, np.zeros_like(q)
         self._fastest = scene.max_velocity * scene.cycle_s
@@ -162,7 +162,7 @@ class Arm:
 
 
 @dataclass
-class Row:
+class FilterRow:
     """The figures of one filter.
 
     Attributes:
@@ -197,7 +197,7 @@ class Row:
 
 
 @dataclass
-class Trials:
+class FilterTrials:
     """Trials of one filter in one scene; what comes of them is added to its row.
 
     Attributes:
@@ -206,9 +206,9 @@ class Trials:
 
     name: str
     filter: Callable[..., Any]
-    scene: Scene
+    scene: FilterScene
     ideal: bool
-    row: Row
+    row: FilterRow
 
     def __post_init__(self) -> None:
         self._distances = Distances(self.scene)
@@ -219,7 +219,7 @@ class Trials:
         """Let each adversary ask for so many cycles."""
         for number, kind in enumerate(ADVERSARIES):
             rng = np.random.default_rng([seed, number])
-            self._run(Adversary(kind, self.scene, self._distances, rng), self.scene.q, cycles)
+            self._run(RequestAdversary(kind, self.scene, self._distances, rng), self.scene.q, cycles)
 
     def follow(self) -> None:
         """Follow each path for as long as it takes without a filter."""
@@ -229,9 +229,9 @@ class Trials:
             self.row.asked += cycles
             self.row.kept += min(follower.at, cycles)
 
-    def _run(self, asker: Adversary | Follower, q: Array, cycles: int) -> None:
+    def _run(self, asker: RequestAdversary | Follower, q: Array, cycles: int) -> None:
         self._call(getattr(self.filter, "start", lambda _q: None), q.copy())
-        arm, depth_m = Arm(self.scene, q, self.ideal), 0.0
+        arm, depth_m = DrivenArm(self.scene, q, self.ideal), 0.0
         for _ in range(cycles):
             request = arm.possible(asker.wish(arm.q))
             begin = time.process_time()
@@ -265,15 +265,15 @@ class Trials:
 
 def compare(
     filters: Mapping[str, Callable[..., Any]],
-    scene: Scene,
-    rows: Mapping[str, Row],
+    scene: FilterScene,
+    rows: Mapping[str, FilterRow],
     cycles: int,
     seed: int,
     ideal: bool = False,
 ) -> Iterator[str]:
     """Send adversaries, for so many cycles each, and paths of a scene through filters; yields each name when done."""
     for name, filter in filters.items():
-        trials = Trials(name, filter, scene, ideal, rows[name])
+        trials = FilterTrials(name, filter, scene, ideal, rows[name])
         trials.attack(cycles, seed)
         trials.follow()
         yield name
