@@ -115,9 +115,9 @@ class Admission(Message):
 
 
 class Supervision(Message):
-    """SIM to Robot Server: a heartbeat, and standing orders. An admission that is taken is a heartbeat, too.
+    """SIM to Robot Server: a heartbeat, and standing orders.
 
-    It is sent once a cycle, and while admissions come and the orders do not change in every fourth at least. Orders
+    It is sent once a cycle, and while admissions go out and the orders do not change in every fourth at least. Orders
     are levels, not edges, so that a lost message costs little. `stop` is repeated until the state shows
     `held`. `resets` is the count of resets so far, obeyed if it is greater than the state's. A Robot Server that
     has read another `cell` holds its robot.

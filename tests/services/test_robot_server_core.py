@@ -258,19 +258,6 @@ def test_a_gate_may_be_silent_for_its_time_and_no_cycle_longer(rig, earlier):
     assert rig.cycle(gate=False).phase is Phase.HELD
 
 
-def test_an_admission_shows_that_the_gate_lives_only_if_it_is_taken(rig):
-    for _ in range(GATE_TIMEOUT):
-        rig.cycle(gate=False)
-    assert rig.cycle(rig.admission(STEP), gate=False).phase is Phase.HELD  # it was silent for too long before
-    rig.resets += 1
-    rig.cycle()
-    for count in range(2 * GATE_TIMEOUT):
-        assert rig.cycle(rig.admission((count % 2) * STEP), gate=False).phase is Phase.ENGAGED
-    for _ in range(GATE_TIMEOUT):
-        assert rig.cycle(rig.admission(STEP, sequence=0), gate=False).phase is not Phase.HELD
-    assert rig.cycle(rig.admission(STEP, sequence=0), gate=False).reason is ReasonCode.GATE_LOST
-
-
 def test_the_first_reason_of_a_hold_is_kept_and_each_hold_counted_once(rig):
     for hold in (1, 2):
         for _ in range(GATE_TIMEOUT + 5):

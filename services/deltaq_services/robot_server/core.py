@@ -384,7 +384,6 @@ class RobotServer(Part):
         refused = None if admission is None or follows is None else self._refused(admission, follows)
         if admission is not None and refused is None:
             self._motion = self._motion.admitted(admission)
-            self._cycles_without_gate = 0
             self._enter(Event.ADMITTED)
         else:
             if not self._motion.rests:

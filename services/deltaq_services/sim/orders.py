@@ -173,9 +173,9 @@ _MOST_SPARED = 3
 
 
 class Spared:
-    """Finds the supervision messages that need not be sent: an admission since the last one shows that the gate lives.
+    """Finds the supervision messages that need not be sent: while admissions go out, unchanged orders without a stop.
 
-    Only repeated orders without a stop are spared. Pure, and no part of the gate: the gate's log has them all.
+    A Robot Server waits for longer than this spares. Pure, and no part of the gate: the gate's log has them all.
 
     Args:
         gate_timeout_cycles: a Robot Server that hears nothing for so long holds its robot.
