@@ -1,8 +1,8 @@
 """Keeps the increments of a law of forces clear of the robot's own bodies, of the structure and of joint limits.
 
-The repulsion (12) knows the leader and the floor. Where the view folds the arm onto itself, the gate would hold the
-robot, and the view with it. Here the law's increment is kept as far as limits and the barriers of the quadratic
-programme allow: view and distance change as by the law, and the joints make room for it.
+The repulsion (12) pushes the arm off the leader and the floor, and off nothing else. A law that folds the arm onto
+itself is held by the gate. Here the barriers of the quadratic programme bend such an increment: view, distance and roll
+change as by the law, and the joints deviate from it.
 """
 
 from __future__ import annotations
@@ -40,16 +40,15 @@ _NEAR_M = 0.05
 
 
 class StandingBarriers:
-    """The barriers of a robot's own bodies and of the structure around it.
+    """Barriers that keep a robot's bodies apart from one another and from the structure.
 
     Args:
         scene: the cell and the roles of its robots.
         limits: of the robot's increments.
-        gains: margins and prices of the barriers; weights and rates of angle and distance.
     """
 
-    def __init__(self, scene: Scene, limits: IncrementLimits, gains: QpGains | None = None) -> None:
-        gains = self._gains = gains or QpGains()
+    def __init__(self, scene: Scene, limits: IncrementLimits) -> None:
+        gains = self._gains = QpGains()  # margins and prices of barriers; weights and rates of the view
         robots, own, robot = scene.cell.robots, scene.robot_name, scene.robot
         self._limits, self._cycle_s, self._robot = limits, scene.cycle_s, robot
         self._camera = Kinematics(robot, "camera")
@@ -74,7 +73,7 @@ class StandingBarriers:
     def increment(
         self, dq: Array, q: Array, dq_last: Array, focus: Array, desired_distance_m: float
     ) -> Array:
-        """The increment that keeps limits and barriers: `dq` itself, or one that changes the view as it does.
+        """`dq` if it keeps all limits and barriers; otherwise an increment that keeps them and changes the view alike.
 
         Args:
             dq: (n,) increment of the law [rad or m].
