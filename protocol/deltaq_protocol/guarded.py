@@ -117,8 +117,8 @@ class Admission(Message):
 class Supervision(Message):
     """SIM to Robot Server: a heartbeat, and standing orders.
 
-    It is sent once a cycle, and while admissions go out and the orders do not change in every fourth at least. Orders
-    are levels, not edges, so that a lost message costs little. `stop` is repeated until the state shows
+    The gate makes one in each cycle. While it admits increments and its orders do not change, it sends every fourth.
+    Orders are levels, not edges, so that a lost message costs a few cycles. `stop` is repeated until the state shows
     `held`. `resets` is the count of resets so far, obeyed if it is greater than the state's. A Robot Server that
     has read another `cell` holds its robot.
     """

@@ -45,7 +45,7 @@ _MEANINGS: dict[str, dict[str, str]] = {
         "requests": "increments passed on to the gate: at most one for each robot and cycle",
         "refused": "increments that never reached the gate",
         "refused_{code}": "increments that never reached the gate, for this reason",
-        "signs_of_life": "cycles that began with a heartbeat for the gate, since no increment waited or was expected",
+        "signs_of_life": "heartbeats for the gate: at states without a waiting increment, unless each is taken at once",
         "carried": "late increments whose motion later ones carried out",
         "verdicts_{outcome}": "verdicts of the gate with this outcome",
         "verdicts_ignored": "verdicts on a robot that the cell does not have",

@@ -6,7 +6,7 @@ from small_cell import admission_after, server_state, small_cell
 from deltaq_protocol.guarded import Admission, OrdersMemory, Plan, Supervision
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.sim.orders import Orders, Spared
+from deltaq_services.sim.orders import Orders, SparedSupervision
 from deltaq_services.sim.tracker import Tracker
 from deltaq_services.sim.tube import DriveBounds
 
@@ -285,32 +285,32 @@ def sent_of(spared, cycles, admits=True, robot="fr", **orders):
 
 
 def test_supervision_is_sent_in_every_cycle_without_an_admission_before_it():
-    assert sent_of(Spared(40), 5, admits=False) == [0, 1, 2, 3, 4]
+    assert sent_of(SparedSupervision(40), 5, admits=False) == [0, 1, 2, 3, 4]
 
 
 def test_during_admissions_repeated_orders_are_sent_every_fourth_cycle():
-    assert sent_of(Spared(40), 10) == [0, 4, 8]
+    assert sent_of(SparedSupervision(40), 10) == [0, 4, 8]
 
 
 def test_stops_and_changed_orders_are_never_omitted():
-    spared = Spared(40)
+    spared = SparedSupervision(40)
     assert sent_of(spared, 3, stop=ReasonCode.OPERATOR_STOP) == [0, 1, 2]
     for changed in ({"resets": 1}, {"outputs": {"gripper": True}}, {"cell": "other"}, {}):
         assert sent_of(spared, 3, **changed) == [0]
 
 
 def test_later_changes_of_an_outputs_map_do_not_affect_the_comparison():
-    spared, outputs = Spared(40), {"gripper": False}
+    spared, outputs = SparedSupervision(40), {"gripper": False}
     assert sent_of(spared, 2, outputs=outputs) == [0]
     outputs["gripper"] = True
     assert sent_of(spared, 2, outputs=outputs) == [0]
 
 
 def test_an_admission_of_one_robot_omits_no_order_of_another():
-    spared = Spared(40)
+    spared = SparedSupervision(40)
     sent_of(spared, 1)
     assert sent_of(spared, 3, admits=False, robot="gr") == [0, 1, 2]
 
 
 def test_with_short_timeouts_no_order_is_omitted():
-    assert sent_of(Spared(3), 4) == [0, 1, 2, 3]
+    assert sent_of(SparedSupervision(3), 4) == [0, 1, 2, 3]

@@ -227,7 +227,7 @@ class CameraInUse:
     def _compare(self, view: View) -> None:
         """Notice when the view has not come nearer to the requested one for `UNREACHED_S`, and what holds the arm back.
 
-        A law whose weights stop the joints before their limits, or whose arm is stretched, meets no bound.
+        A stretched arm meets no bound, nor does a law whose weights stop the joints before their limits.
         """
         time_s, other = view.own.time_s, view.others.get(self.leader)
         off = 0.0

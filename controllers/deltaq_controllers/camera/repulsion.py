@@ -95,8 +95,8 @@ class Repulsion:
             radii: (k,) their radii [m].
 
         Returns:
-            Least clearance from an obstacle [m]; infinite if there is none. The floor pushes, and no law gives up the
-            view for it: it does not come nearer by itself.
+            Least clearance from an obstacle [m]; infinite if there is none. The floor does not count: it pushes, and is
+            no reason to give up the view.
         """
         least, near, any_near = _approach(
             self._spheres, kinematics.placements(), self._within, Obstacles(obstacles, radii), self._floor

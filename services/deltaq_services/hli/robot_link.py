@@ -105,8 +105,8 @@ class RobotLink(Part):
         target: its target; None if it does not say.
         view: the requested view of its camera; None before the first request.
         state, received_s: newest state of the robot, and the time of its arrival [s].
-        is_in_step: whether the increment of the cycle before was decided in it, and the robot has taken it. Then no
-            increment waits in the gate for a word of the HLI, and this cycle's increment is that word.
+        is_in_step: whether the gate has decided the increment of the last cycle, and the robot has taken it. Then no
+            increment waits in the gate, and the gate needs no heartbeat before the next increment.
     """
 
     def __init__(

@@ -1,7 +1,7 @@
 """Standing orders of the gate to one Robot Server: stop, reset, digital outputs.
 
-Orders are levels that supervision messages repeat, so that a lost message costs one cycle, and a few where nothing
-but digital outputs can have changed.
+Orders are levels that supervision messages repeat, so that a lost message costs one cycle. While increments are
+admitted it costs up to four (`SparedSupervision`); a stop ends the admissions.
 """
 
 from __future__ import annotations
@@ -172,10 +172,11 @@ _MOST_SPARED = 3
 """Supervision messages in a row that are not sent; fewer if a Robot Server holds soon without them."""
 
 
-class Spared:
-    """Finds the supervision messages that need not be sent: while admissions go out, unchanged orders without a stop.
+class SparedSupervision:
+    """Finds the supervision messages that are not sent: they follow an admission, and repeat orders without a stop.
 
-    A Robot Server waits for longer than this spares. Pure, and no part of the gate: the gate's log has them all.
+    It spares fewer in a row than a Robot Server waits for. It is no part of the gate's decisions: the gate's log has
+    every message.
 
     Args:
         gate_timeout_cycles: a Robot Server that hears nothing for so long holds its robot.
@@ -187,12 +188,8 @@ class Spared:
         self._spared: Counter[str] = Counter()
         self._admitted: set[str] = set()
 
-    def is_spared(self, robot: str) -> bool:
-        """Whether the newest supervision message to a robot was spared."""
-        return self._spared[robot] > 0
-
     def spares(self, message: Message) -> bool:
-        """Whether a message of the gate need not be sent; to be asked of each, in order."""
+        """Whether a message of the gate is not sent; to be asked of every message, in order."""
         if isinstance(message, Admission):
             self._admitted.add(message.robot)
         if not isinstance(message, Supervision):

@@ -32,7 +32,7 @@ from deltaq_services.guarded_realm import guarded_links, open_guarded_session
 from deltaq_services.rate_limit import Pace
 from deltaq_services.sim.core import Decider, Sim
 from deltaq_services.sim.gate import Decision
-from deltaq_services.sim.orders import Spared
+from deltaq_services.sim.orders import SparedSupervision
 from deltaq_services.sim.tracker import Tracker
 
 
@@ -166,7 +166,7 @@ class Shell:
             zenoh.handlers.RingChannel(_RING),
             allowed_origin=zenoh.Locality.REMOTE,
         )
-        self._spared = Spared(math.ceil(description.gate.gate_timeout_s / description.cycle_s))
+        self._spared = SparedSupervision(math.ceil(description.gate.gate_timeout_s / description.cycle_s))
         self._log = GateLog(self._session, self._name, self.sim)
         audit = topics.AUDIT.key(self._name)
         self._audit = declare_publisher(self._session, audit, priority=topics.AUDIT.priority)

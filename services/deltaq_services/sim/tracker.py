@@ -79,7 +79,7 @@ class History:
         return tuple(tuple(setpoint.tolist()) for setpoint in self._setpoints), tuple(self._passed)
 
     def restore(self, setpoints: Sequence[Sequence[float]], passed: Sequence[bool]) -> None:
-        """Restore a snapshot; those of earlier versions lack the setpoints of passed cycles."""
+        """Restore a snapshot. One of an earlier version lacks `passed`: then a cycle passed with every setpoint."""
         self._setpoints = deque(np.array(setpoint) for setpoint in setpoints)
         self._passed = deque(passed or [True] * len(setpoints))
         self._cycles = sum(self._passed)
@@ -306,7 +306,7 @@ class Tracker:
         return self._known_courses
 
     def standing(self) -> Windows:
-        """The tube of a robot at rest: the present range of its drives."""
+        """The tube of a robot that gets no further increment: where its drives may be now."""
         return self.tube(Branch(np.zeros_like(self.q_cmd), 1, 0))
 
     def at_rest(self) -> bool:
