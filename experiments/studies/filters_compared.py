@@ -33,7 +33,7 @@ from studies.foreign_scenes import (
     obstacles_of,
     plan,
     problems,
-    timed,
+    timed_path,
 )
 
 
@@ -154,7 +154,7 @@ def scene_of(folder: Path, told: dict[str, Any], request: dict[str, Any]) -> Fil
         path = plan(scene.q, target, scene.lower, scene.upper, clear, np.random.default_rng(seed))
         if path is None:
             return None
-        setpoints = timed(path, scene.max_velocity, scene.max_acceleration)
+        setpoints = timed_path(path, scene.max_velocity, scene.max_acceleration)
         if all(map(clear, setpoints)):
             return replace(scene, paths=[setpoints])
     return None

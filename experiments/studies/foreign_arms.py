@@ -2,7 +2,7 @@
 
 Each arm of example-robot-data stands among bodies drawn from a seed and is asked for what no friendly program asks: the
 fastest increments that change at random (bang-bang), straight at the nearest body (homing), and away from it and back
-(retreat). `MeshOracle` judges every setpoint and where the robot would stop after it, on the meshes.
+(retreat). `Distances` judges every setpoint and where the robot would stop after it, on the meshes.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ from deltaq import Box, Gate, GateError
 from deltaq_cell.models import RobotModelError, load_urdf
 from deltaq_cell.urdf_parsing import parse_model
 from deltaq_deploy.launch.program import run_program
+from deltaq_experiments.bench.filter_scenes import Distances, FilterScene
 from deltaq_protocol.arrays import Array
-from studies.foreign_scenes import CYCLE_S, ROUNDING_M, SELF_STOP_M, STOP_M, MeshOracle, unjudged
+from studies.foreign_scenes import CYCLE_S, ROUNDING_M, SELF_STOP_M, STOP_M
 
 ROBOTS = "package://example-robot-data/robots"
 ARMS = {
@@ -97,9 +98,9 @@ def free(urdf: str, moving: str, rng: Any) -> Gate:
                 urdf, CYCLE_S, q=q, locked=locked, stop_distance_m=STOP_M, self_stop_distance_m=SELF_STOP_M,
                 tolerance=1e-6,
             )  # fmt: skip
-            oracle = MeshOracle(urdf, {}, unjudged(gate), locked)
+            oracle = Distances(FilterScene.of(gate, urdf))
             near = gate.nearest()
-            if oracle.clear(gate.q_cmd()) and (near is None or near.distance_m > SELF_STOP_M):
+            if oracle.clear(gate.q_cmd(), 0.0) and (near is None or near.distance_m > SELF_STOP_M):
                 return gate
         except GateError:
             if tries == 39:
@@ -118,8 +119,8 @@ def attack(urdf: str, moving: str, decisions: int, seed: int) -> dict[str, Any]:
     gate = free(urdf, moving, rng)
     surrounded(gate, rng)
     robot = gate.cell.robots["arm"]
-    oracle = MeshOracle(urdf, gate.obstacles, unjudged(gate), robot.description.locked_joints)
-    near_at_start = not oracle.clear(gate.q_cmd(), ROUNDING_M)
+    oracle = Distances(FilterScene.of(gate, urdf))
+    near_at_start = not oracle.clear(gate.q_cmd(), -ROUNDING_M)
     fastest, ms, violations, moved = robot.max_velocity * CYCLE_S, [], 0, 0
     outcomes: dict[str, int] = {}
     wish, left, kind = fastest, 0, 0
@@ -134,7 +135,7 @@ def attack(urdf: str, moving: str, decisions: int, seed: int) -> dict[str, Any]:
         outcomes[step.outcome.value] = outcomes.get(step.outcome.value, 0) + 1
         moved += bool(step.dq.any())
         rest = step.q_cmd + step.dq * max(0.0, (step.verdict.time_to_stop_s or 0.0) / CYCLE_S - 1) / 2
-        violations += not (oracle.clear(step.q_cmd, ROUNDING_M) and oracle.clear(rest, ROUNDING_M))
+        violations += not (oracle.clear(step.q_cmd, -ROUNDING_M) and oracle.clear(rest, -ROUNDING_M))
     return {
         "joints": robot.n, "decisions": decisions, "violations": violations, "near_at_start": near_at_start,
         "moved": round(moved / decisions, 3), "outcomes": outcomes,

@@ -3,8 +3,8 @@
 Problems of MotionBenchMaker (Chamzas et al., RA-L 2022) for a UR5 and a Panda, in FOLDER/ur5 and FOLDER/panda with
 URDF, SRDF, meshes and `problems.tar.bz2`. Each is planned with RRT-Connect (Kuffner and LaValle, ICRA 2000) and
 shortcuts, clear by the stop distance on the meshes at every setpoint, and sent at full speed through `deltaq.Gate`.
-`MeshOracle` judges every setpoint and where the robot would stop after it, on the meshes themselves: no hull and no
-kernel of the gate's.
+`Distances` of `deltaq bench filters` judges every setpoint and where the robot would stop after it, on the meshes
+themselves: no hull and no kernel of the gate's.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ import json
 import tarfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from itertools import combinations, pairwise
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import coal
 import numpy as np
 import pinocchio as pin
 import yaml
@@ -28,9 +28,8 @@ import yaml
 from deltaq import Box, Cylinder, Gate, GateError, Sphere
 from deltaq.foreign_robot import whole_body
 from deltaq.obstacles import Obstacle
-from deltaq_cell.models import collision_names, load_urdf
-from deltaq_cell.urdf_parsing import parse_geometry, parse_model
 from deltaq_deploy.launch.program import run_program
+from deltaq_experiments.bench.filter_scenes import Distances, FilterScene, timed
 from deltaq_protocol.arrays import Array
 
 STOP_M, SELF_STOP_M = 0.005, 0.002
@@ -47,89 +46,6 @@ RAMP_S = 0.2
 """Time from a hold to full speed along the path [s]."""
 PATIENCE = 250
 """Cycles without progress after which a path counts as blocked."""
-
-
-class MeshOracle:
-    """Whether configurations keep distances, on the meshes.
-
-    Args:
-        urdf: of the robot.
-        obstacles: by name.
-        left_out: pairs of bodies, named `LINK`, that are not judged.
-        locked: joints that do not move, and where they are [rad or m].
-    """
-
-    def __init__(
-        self,
-        urdf: str | Path,
-        obstacles: Mapping[str, Obstacle],
-        left_out: set[frozenset[str]],
-        locked: Mapping[str, float] | None = None,
-    ) -> None:
-        source = load_urdf(str(urdf))
-        self.model = parse_model(source, locked or {})
-        self._data = self.model.createData()
-        self.geometry = parse_geometry(source, pin.GeometryType.COLLISION, pin.SE3.Identity(), locked or {})
-        names = collision_names(source)
-        for body in self.geometry.geometryObjects:
-            link, index = body.name.rsplit("_", 1)
-            body.name = names[link][int(index)]
-        # by value, since adding a body moves the others in memory
-        links = [(str(body.name), int(body.parentJoint)) for body in self.geometry.geometryObjects]
-        own = range(len(links))
-        for name, obstacle in obstacles.items():
-            place = pin.SE3(pin.rpy.rpyToMatrix(*obstacle.rpy), np.array(obstacle.at))
-            self.geometry.addGeometryObject(
-                pin.GeometryObject(f"structure/{name}", 0, place, _shape(obstacle))
-            )
-        pairs = [(i, j) for i in own for j in own if i < j and _is_judged(links[i], links[j], left_out)]
-        self.margins = [SELF_STOP_M] * len(pairs)
-        bodies = range(len(links), len(self.geometry.geometryObjects))
-        pairs += [(i, j) for i in own if links[i][1] for j in bodies]
-        self.margins += [STOP_M] * (len(pairs) - len(self.margins))
-        for pair in pairs:
-            self.geometry.addCollisionPair(pin.CollisionPair(*pair))
-        self._asked = self.geometry.createData()
-
-    def clear(self, q: Array, slack_m: float = 0.0) -> bool:
-        """Whether all pairs keep their distance, less `slack_m`, at `q` (n,)."""
-        for request, margin in zip(self._asked.collisionRequests, self.margins, strict=True):
-            request.security_margin = margin - slack_m
-        return not pin.computeCollisions(self.model, self._data, self.geometry, self._asked, q, True)
-
-    def distance_m(self, q: Array, pair: tuple[str, str]) -> float:
-        """Distance of two bodies at `q` (n,), on the meshes."""
-        first, second = (self.geometry.getGeometryId(name) for name in pair)
-        pairs = [(pair.first, pair.second) for pair in self.geometry.collisionPairs]
-        number = next(i for i, each in enumerate(pairs) if set(each) == {first, second})
-        pin.updateGeometryPlacements(self.model, self._data, self.geometry, self._asked, q)
-        return float(pin.computeDistance(self.geometry, self._asked, number).min_distance)
-
-
-def unjudged(gate: Gate) -> set[frozenset[str]]:
-    """Pairs of bodies of the URDF of which the gate checks no part, by name."""
-    robot = gate.cell.robots["arm"]
-    names = [body.name for body in robot.geometry.geometryObjects]
-    never = robot.never_checked_pairs()
-    pairs: dict[bool, set[frozenset[str]]] = {True: set(), False: set()}
-    for pair in combinations(sorted(names), 2):
-        pairs[pair in never].add(frozenset(whole_body(each.removeprefix("arm/")) for each in pair))
-    return pairs[True] - pairs[False]
-
-
-def _is_judged(one: tuple[str, int], other: tuple[str, int], left_out: set[frozenset[str]]) -> bool:
-    return one[1] != other[1] and frozenset((one[0], other[0])) not in left_out
-
-
-def _shape(obstacle: Obstacle) -> Any:
-    match obstacle:
-        case Box():
-            return coal.Box(*obstacle.size_m)
-        case Cylinder():
-            return coal.Cylinder(obstacle.radius_m, obstacle.length_m)
-        case Sphere():
-            return coal.Sphere(obstacle.radius_m)
-    raise TypeError(f"no shape for {obstacle}")
 
 
 def steps_between(one: Array, other: Array, resolution: float = RESOLUTION) -> Array:
@@ -184,22 +100,12 @@ def _shortened(path: list[Array], clear: Callable[[Array], bool], rng: Any) -> l
     return path
 
 
-def timed(path: list[Array], velocity: Array, acceleration: Array) -> Array:
+def timed_path(path: list[Array], velocity: Array, acceleration: Array) -> Array:
     """(k, n) setpoints of all cycles: each line from rest to rest in the least time that the limits allow."""
     rows = [path[0][None]]
     for one, other in pairwise(path):
-        travel = np.abs(other - one)
-        if travel.max() < 1e-9:  # where the planner's trees met
-            continue
-        with np.errstate(divide="ignore"):
-            speed, rate = float((velocity / travel).min()), float((acceleration / travel).min())
-        speed = min(speed, np.sqrt(rate))
-        length_s = 1 / speed + speed / rate
-        t = np.arange(1, int(np.ceil(length_s / CYCLE_S)) + 1) * CYCLE_S
-        t, ramp = np.minimum(t, length_s), speed / rate
-        up, down = rate * t**2 / 2, 1 - rate * (length_s - t) ** 2 / 2
-        share = np.where(t < ramp, up, np.where(t > length_s - ramp, down, speed * (t - ramp / 2)))
-        rows.append(one + share[:, None] * (other - one))
+        if np.abs(other - one).max() > 1e-9:  # not where the planner's trees met
+            rows.append(timed(one, other, velocity, acceleration, CYCLE_S)[1:])
     return np.vstack(rows)
 
 
@@ -255,7 +161,7 @@ class Scene:
         }
 
 
-def stream(gate: Gate, oracle: MeshOracle, path: Array, scene: Scene) -> None:
+def stream(gate: Gate, oracle: Distances, path: Array, scene: Scene) -> None:
     """Send a path through the gate, along it as fast as the gate admits, and judge every setpoint."""
     at, rate, waits, cycles = 0.0, 1.0, 0, 0
     lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
@@ -271,7 +177,7 @@ def stream(gate: Gate, oracle: MeshOracle, path: Array, scene: Scene) -> None:
         cycles += 1
         # the stopping trajectory: dq times (N - k) / N for k of 1 to N
         rest = step.q_cmd + step.dq * max(0.0, (step.verdict.time_to_stop_s or 0.0) / CYCLE_S - 1) / 2
-        if not (oracle.clear(step.q_cmd, ROUNDING_M) and oracle.clear(rest, ROUNDING_M)):
+        if not (oracle.clear(step.q_cmd, -ROUNDING_M) and oracle.clear(rest, -ROUNDING_M)):
             scene.false_admissions += 1
         # a part of a request, or a step of the stopping trajectory, goes along the path, too
         near = np.minimum(at + np.linspace(0.0, 2.0, 81), len(path) - 1.0)
@@ -291,8 +197,10 @@ def stream(gate: Gate, oracle: MeshOracle, path: Array, scene: Scene) -> None:
     scene.unfiltered_s += at * CYCLE_S
     scene.filtered_s += (cycles - waits) * CYCLE_S
     if waits >= PATIENCE and step.verdict.pair is not None:
-        one, other = (whole_body(name.removeprefix("arm/")) for name in step.verdict.pair)
-        on_mesh, on_hull = oracle.distance_m(step.q_cmd, (one, other)), step.verdict.clearance_m or 0.0
+        bodies = (
+            whole_body(name).removeprefix("arm/").removeprefix("structure/") for name in step.verdict.pair
+        )
+        on_mesh, on_hull = oracle.distance_m(step.q_cmd, *bodies), step.verdict.clearance_m or 0.0
         scene.blocked[
             f"{last}, {on_mesh * 1e3:.1f} mm on the mesh and {on_hull * 1e3:.1f} mm on the hull"
         ] += 1
@@ -362,20 +270,21 @@ def solved(folder: Path, told: dict[str, Any], request: dict[str, Any], seed: in
         scene.refused.append(str(error)[:160])
         return scene
     robot = gate.cell.robots["arm"]
-    oracle = MeshOracle(urdf, obstacles, unjudged(gate))
+    oracle = Distances(FilterScene.of(gate, str(urdf), str(srdf)))
+    clear = partial(oracle.clear, more_m=0.0)
     q, target = gate.q_cmd(), np.array([goal[joint] for joint in robot.joint_names])
-    if not oracle.clear(q):
+    if not clear(q):
         scene.start_near += 1
-    elif not oracle.clear(target):
+    elif not clear(target):
         scene.goal_near += 1
     else:
         for number in range(PLANS):
             rng = np.random.default_rng((seed, number))
-            path = plan(q, target, robot.lower, robot.upper, oracle.clear, rng)
+            path = plan(q, target, robot.lower, robot.upper, clear, rng)
             if path is None:
                 break
-            setpoints = timed(path, robot.max_velocity, robot.max_acceleration)
-            if all(map(oracle.clear, setpoints)):
+            setpoints = timed_path(path, robot.max_velocity, robot.max_acceleration)
+            if all(map(clear, setpoints)):
                 stream(gate, oracle, setpoints, scene)
                 return scene
         scene.not_planned += 1

@@ -49,6 +49,7 @@ class FilterScene:
         lower, upper, max_velocity, max_acceleration: (n,) limits [rad or m, per s, per s^2].
         left_out: pairs of bodies of the robot that may touch, such as neighbours.
         srdf: file with pairs of links that are left out, for the gate; None if there is none.
+        locked: joints that do not move, and their positions [rad or m].
         paths: (k, n) setpoints of each path, clear by the stop distances; the first is where it starts [rad or m].
     """
 
@@ -64,6 +65,7 @@ class FilterScene:
     max_acceleration: Array
     left_out: frozenset[frozenset[str]]
     srdf: str | None = None
+    locked: Mapping[str, float] = field(default_factory=dict)
     paths: list[Array] = field(default_factory=list)
 
     @classmethod
@@ -76,7 +78,7 @@ class FilterScene:
         return cls(
             urdf, gate.obstacles, cell.cycle_s, cell.gate.stop_distance_m, cell.gate.self_stop_distance_m,
             gate.q_cmd(), robot.lower, robot.upper, robot.max_velocity, robot.max_acceleration,
-            frozenset(found[True] - found[False]), srdf,
+            frozenset(found[True] - found[False]), srdf, robot.description.locked_joints,
         )  # fmt: skip
 
 
@@ -90,9 +92,10 @@ class Distances:
 
     def __init__(self, scene: FilterScene) -> None:
         source = load_urdf(scene.urdf)
-        self._model = parse_model(source, {})
+        self._model = parse_model(source, scene.locked)
         self._data = self._model.createData()
-        self._geometry = parse_geometry(source, pin.GeometryType.COLLISION, pin.SE3.Identity(), {})
+        collision = pin.GeometryType.COLLISION
+        self._geometry = parse_geometry(source, collision, pin.SE3.Identity(), scene.locked)
         names = collision_names(source)
         bodies = [(*body.name.rsplit("_", 1), body.parentJoint) for body in self._geometry.geometryObjects]
         own = [(names[link][int(number)], int(joint)) for link, number, joint in bodies]
@@ -113,14 +116,16 @@ class Distances:
         self.least_m[: self.own] = scene.self_stop_distance_m
         joints = [joint for _, joint in own] + [0] * len(others)
         self._joints = [(joints[i], joints[j]) for i, j in pairs]
+        bodies_of = [*(name for name, _ in own), *scene.obstacles]
+        self._names = [frozenset((bodies_of[i], bodies_of[j])) for i, j in pairs]
         for pair in pairs:
             self._geometry.addCollisionPair(pin.CollisionPair(*pair))
         self._measured, self._asked, self._touching = (self._geometry.createData() for _ in range(3))
-        for request, margin in zip(self._asked.collisionRequests, self.least_m, strict=True):
-            request.security_margin = margin + ALLOWED_M
 
-    def clear(self, q: Array) -> bool:
-        """Whether all pairs keep their stop distances, and 1 mm more, at `q` (n,)."""
+    def clear(self, q: Array, more_m: float = ALLOWED_M) -> bool:
+        """Whether all pairs keep their stop distances, and `more_m` beyond them, at `q` (n,)."""
+        for request, margin in zip(self._asked.collisionRequests, self.least_m, strict=True):
+            request.security_margin = margin + more_m
         return not pin.computeCollisions(self._model, self._data, self._geometry, self._asked, q, True)
 
     def depth_m(self, q: Array) -> float:
@@ -133,6 +138,10 @@ class Distances:
         """(pairs,) distances at `q` (n,); negative where two bodies overlap [m]."""
         pin.computeDistances(self._model, self._data, self._geometry, self._measured, q)
         return np.array([found.min_distance for found in self._measured.distanceResults])
+
+    def distance_m(self, q: Array, one: str, other: str) -> float:
+        """Distance of two bodies of the URDF, or of one and an obstacle, at `q` (n,) [m]."""
+        return float(self.measure(q)[self._names.index(frozenset((one, other)))])
 
     def gradients(self, q: Array, pairs: Indices) -> Array:
         """(k, n) change of the distances of some pairs with `q`, which was measured last [m/rad or 1]."""
