@@ -63,7 +63,8 @@ class Verbs(TyperGroup):
         except typer.BadParameter as error:
             from pydantic import ValidationError
 
-            if isinstance(error.__cause__, ValidationError):
+            # a verb of a group passes here once more than others
+            if ctx.parent is None and isinstance(error.__cause__, ValidationError):
                 first, *_ = error.__cause__.errors()
                 error.message = f"{error.message}, got {first['input']!r}"
             raise
