@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import fcntl
 import os
 import signal
 import subprocess
@@ -56,6 +55,8 @@ class Lifeline:
 
     def end_with(self, pid: int) -> None:
         """Have that process, which has inherited the reading end, sent the signal; give up the reading end here."""
+        import fcntl  # not on Windows, where commands in virtual time are compiled, too
+
         fcntl.fcntl(self.reader, fcntl.F_SETSIG, signal.SIGTERM)
         fcntl.fcntl(self.reader, fcntl.F_SETOWN, pid)
         fcntl.fcntl(self.reader, fcntl.F_SETFL, fcntl.fcntl(self.reader, fcntl.F_GETFL) | os.O_ASYNC)

@@ -103,7 +103,10 @@ def test_a_cell_that_is_not_running_gives_exit_status_3_and_one_clear_line(
             "'--distance-m': Input should be less than or equal to 4, got '9'",
         ),
         (("bench", "filters", "--cycles", "5"), "should be greater than or equal to 10, got '5'"),
-        (("camera", "view", "--robot", "rf"), "no robot 'rf' in cell lab; it has fr, gr"),
+        (
+            ("camera", "view", "--robot", "rf", "--distance-m", "1"),
+            "no robot 'rf' in cell lab; it has fr, gr",
+        ),
         (("camera", "view", "--target", "gr:1,2"), "--target"),
         (
             ("camera", "view", "--target", "gr", "--target", "-1,2,x"),

@@ -6,7 +6,6 @@ import contextlib
 import logging
 import mmap
 import os
-import resource
 import signal
 import socket
 import struct
@@ -228,6 +227,8 @@ def _dump_no_core() -> None:
 
     A limit of one byte refuses dumps to files and to programs alike (core(5)).
     """
+    import resource  # not on Windows, where virtual time makes records, too
+
     hard = resource.getrlimit(resource.RLIMIT_CORE)[1]
     with contextlib.suppress(ValueError, OSError):
         resource.setrlimit(resource.RLIMIT_CORE, (1, hard))
