@@ -176,7 +176,6 @@ _MEANINGS: dict[str, dict[str, str]] = {
         "malformed_heard": "messages of the HLI that could not be understood",
         "internal_errors": "messages and ticks that failed with an unexpected error",
         "too_many": "commands beyond the number that a browser may send in a second",
-        "repeated": "commands with an id that was used before",
         "expired": "commands that came too late to be carried out",
         "refused": "commands refused for another reason",
         "refused_by_driver": "requests that a robot's driver did not carry out",

@@ -124,20 +124,6 @@ def test_an_observer_may_stop():
     assert len(bench.asked("stop")) == 1
 
 
-def test_a_repeated_id_is_executed_once_and_answered_twice(driving_anna, bench):
-    for _ in range(2):
-        ack = driving_anna.send("jog", id="same", **JOG)
-        assert ack.outcome is DONE
-    assert len([each for each in bench.driver_requests() if each.id is None]) == 1
-    assert bench.core.counters["repeated"] == 1
-
-
-def test_a_repeated_stop_is_requested_once_and_answered_twice(bench):
-    desk = bench.browser()
-    assert [desk.send("stop", id="s1").outcome for _ in range(3)] == [ASKED] * 3
-    assert len(bench.asked("stop")) == 1
-
-
 def test_a_late_motion_command_expires(driving_anna, bench):
     ack = driving_anna.send("jog", late_s=0.6, **JOG)
     assert ack.outcome is EXPIRED
@@ -283,9 +269,6 @@ def test_answers_of_the_hli_reach_their_client(bench):
     tower.hears(refused)
     assert desk.acks("r")[-1].text == "cause_stands: it stands"
     assert len(tower.got) == before
-    # and who comes back with the same id gets the same answer
-    assert desk.send("reset", id="r", robot="fr").outcome is REFUSED
-    assert len(bench.asked("reset")) == 1
 
 
 def test_a_dry_run_is_answered_with_its_verdict_in_words(bench):

@@ -10,11 +10,10 @@ so a burst after a stall is compared with the time before it.
 
 from __future__ import annotations
 
-from collections import OrderedDict, deque
+from collections import deque
 from dataclasses import dataclass, field
 
 from deltaq_services.console.commands import MOST_MESSAGES_S
-from deltaq_services.console.messages import Ack
 from deltaq_services.rate_limit import RateLimit
 
 SECONDS_KEPT = 10
@@ -23,8 +22,6 @@ SECONDS_KEPT = 10
 
 _LONGEST_NAME = 64
 """Of a client, in a message to the HLI."""
-_ANSWERS_KEPT = 256
-"""Newest answers that are given again to a command that comes twice."""
 
 
 class ClockOffset:
@@ -75,23 +72,8 @@ class Client:
     session: str = ""
     page: str = ""
     given_name: str = ""
-    _answers: OrderedDict[str, Ack] = field(default_factory=OrderedDict)
 
     @property
     def in_the_audit_log(self) -> str:
         """The name that the HLI gets for the sender: `console`, and the name that the browser gave itself."""
         return f"console: {self.name} at {self.address or 'no address'}"[:_LONGEST_NAME]
-
-    def answered(self, command_id: str) -> Ack | None:
-        """The newest answer to a command that came before; None if it did not."""
-        return self._answers.get(command_id)
-
-    def answer(self, ack: Ack) -> Ack:
-        """Store an answer in case its command is repeated; returns it."""
-        if not ack.id:
-            return ack
-        self._answers[ack.id] = ack
-        self._answers.move_to_end(ack.id)
-        while len(self._answers) > _ANSWERS_KEPT:
-            self._answers.popitem(last=False)
-        return ack

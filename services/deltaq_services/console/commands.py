@@ -1,7 +1,7 @@
 """Messages from browsers to the console, as JSON.
 
 Times named `_ms` are milliseconds of the sender's clock; all else is in SI units. A command is answered
-with one `ack` that carries its `id`; a repeated `id` is executed once and answered twice.
+with one `ack` that carries its `id`.
 `deltaq_services.console.client` defines when a command expires.
 """
 

@@ -171,15 +171,11 @@ class ConsoleCore:
         if not allowed:
             self.counters["too_many"] += 1
             text = f"messages: more in a second than are allowed; bound {client.rate.most_s:g}"
-            return [ToClient(client.number, Ack(id=command.id, outcome=AckOutcome.REFUSED, text=text))]
+            return [acknowledged(client, command.id, AckOutcome.REFUSED, text)]
         late_s = client.clocks.hear(command.sent_ms / 1000.0, now_s)
         if isinstance(command, Ping):
             pong = Pong(id=command.id, sent_ms=command.sent_ms, server_ms=1000.0 * now_s)
             return [ToClient(client.number, pong)]
-        before = client.answered(command.id)
-        if before is not None:
-            self.counters["repeated"] += 1
-            return [ToClient(client.number, before)]
         if late_s > EXPIRY_S[command.type]:
             self.counters["expired"] += 1
             text = f"your browser was {late_s:.2f} s late; bound {EXPIRY_S[command.type]:g} s: press again"
@@ -214,7 +210,7 @@ class ConsoleCore:
             text = "" if bound is None else bound.text
             told = {"text": text, "verdict": verdict.outcome, "scale": verdict.scale, "pair": verdict.pair}
             ack = ack.model_copy(update=told)
-        return [ToClient(client.number, client.answer(ack))]
+        return [ToClient(client.number, ack)]
 
     def driver_said(self, robot: str, said: driving.DriverMessage, now_s: float) -> list[ConsoleOutput]:
         """A line of a robot's driver."""
@@ -285,10 +281,6 @@ class ConsoleCore:
         }
 
     def _stop(self, client: Client, command: Stop, now_s: float) -> list[ConsoleOutput]:
-        before = client.answered(command.id)
-        if before is not None:
-            self.counters["repeated"] += 1
-            return [ToClient(client.number, before)]
         self.counters["stops"] += 1
         self.stop.ask(client.name)
         self._log.add(now_s, "stop", f"{client.name} pressed STOP")

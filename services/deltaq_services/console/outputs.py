@@ -97,4 +97,4 @@ class PendingRequests:
 
 def acknowledged(client: Client, command: str, outcome: AckOutcome, text: str) -> ToClient:
     """The answer to a client's command."""
-    return ToClient(client.number, client.answer(Ack(id=command, outcome=outcome, text=text)))
+    return ToClient(client.number, Ack(id=command, outcome=outcome, text=text))
