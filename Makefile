@@ -107,8 +107,9 @@ mutation: $(INSTALLED) ## change gate and guards in small ways, and see each cha
 
 docs: $(INSTALLED) ## write docs/reference, and in deploy compose files and systemd units, anew from the code
 	PYTHONPATH=tools $(BIN)/python -m reference_pages
-	$(BIN)/python -m deltaq_deploy.launch.compose
-	$(BIN)/python -m deltaq_deploy.launch.systemd
+	$(BIN)/python -m deltaq_deploy.launch.compose lab > deploy/compose.yaml
+	$(BIN)/python -m deltaq_deploy.launch.compose lab --real-time > deploy/realtime.yaml
+	$(BIN)/python -m deltaq_deploy.launch.systemd lab --to deploy/systemd
 
 site: $(SITE) ## the documentation as a site, with search and the Python API, in build/site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet

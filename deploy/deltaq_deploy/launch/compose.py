@@ -1,6 +1,7 @@
-"""Writes `deploy/compose.yaml` and its overlays from the table of services: `make docs`.
+"""Prints the compose file of a cell, by its name or path: `python -m deltaq_deploy.launch.compose CELL`.
 
-`python -m deltaq_deploy.launch.compose CELL` prints the file of another cell, by its name or path, in one file.
+`make docs` writes `deploy/compose.yaml` and `deploy/realtime.yaml` with it. `deploy/compose.tokens.yaml` adds to the
+first what a cell with `clients_need_tokens` has in it.
 """
 
 from __future__ import annotations
@@ -111,10 +112,6 @@ def _limits(role: Role) -> dict[str, Any]:
     }
 
 
-DEPLOY = Path(__file__).parents[3] / "deploy"
-FILE = DEPLOY / "compose.yaml"
-TOKENS_FILE = DEPLOY / "compose.tokens.yaml"
-REAL_TIME_FILE = DEPLOY / "realtime.yaml"
 CELL = "lab"
 HEADER = """\
 # The lab cell in containers: the services of `deltaq up`, with `--profile demo` the controllers of `deltaq demo`,
@@ -122,11 +119,6 @@ HEADER = """\
 #
 #   docker compose -f deploy/compose.yaml up --build --wait   build the image, and the emulated cell
 #   docker compose -f deploy/compose.yaml up --wait hli       the same without emulators: real robots
-"""
-TOKENS_HEADER = """\
-# Tokens for the lab cell in containers, as secrets. Written by `make docs`; do not edit.
-#
-#   docker compose -f deploy/compose.yaml -f deploy/compose.tokens.yaml up --wait
 """
 REAL_TIME_HEADER = """\
 # Real-time priority for the lab cell in containers, on an engine that may raise limits. Written by `make docs`; do not
@@ -204,18 +196,6 @@ def compose_document(cell_name: str = CELL) -> dict[str, Any]:
     )
 
 
-def tokens_document(cell_name: str = CELL) -> dict[str, Any]:
-    """What a second compose file adds to a cell that runs without tokens: all of them, as secrets."""
-    given: dict[str, Any] = {}
-    cell = load_cell(cell_name)
-    everybody = (*_services(cell, cell_name), *demo_controllers(cell))
-    services = tuple(one for one in everybody if one.role in (*_TOKENS, *_CONTROLLER_ROLES))
-    document: dict[str, Any] = {service.name: {"environment": {}} for service in services}
-    document[ADDRESS] = {}
-    _give_tokens(document, given, services)
-    return {"services": document, "secrets": given}
-
-
 def real_time_document(cell_name: str = CELL) -> dict[str, Any]:
     """What another compose file adds: the limit with which a service may ask for real-time priority."""
     cell = load_cell(cell_name)
@@ -226,11 +206,6 @@ def real_time_document(cell_name: str = CELL) -> dict[str, Any]:
 def compose_text(cell_name: str = CELL) -> str:
     """The compose document as YAML, with its header."""
     return HEADER + _yaml(compose_document(cell_name))
-
-
-def tokens_text() -> str:
-    """The document of the tokens as YAML, with its header."""
-    return TOKENS_HEADER + _yaml(tokens_document())
 
 
 def real_time_text(cell_name: str = CELL) -> str:
@@ -297,20 +272,16 @@ class _Indented(yaml.SafeDumper):
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Print the document of a cell, or write those that are shipped."""
+    """Print the document of a cell."""
     parser = argparse.ArgumentParser(
         prog="python -m deltaq_deploy.launch.compose", description="compose file of a cell"
     )
-    parser.add_argument("cell", nargs="?", help="name or YAML file of the cell, whose document is printed")
+    parser.add_argument("cell", help="name or YAML file of the cell, whose document is printed")
     parser.add_argument("--real-time", action="store_true", help="print the overlay for real-time priority")
     given = parser.parse_args(argv)
-    if given.cell is None:
-        FILE.write_text(compose_text(), encoding="utf-8")
-        TOKENS_FILE.write_text(tokens_text(), encoding="utf-8")
-        REAL_TIME_FILE.write_text(real_time_text(), encoding="utf-8")
-        return
     try:
-        cell = str(find_cell(given.cell).resolve())
+        file = find_cell(given.cell)
+        cell = str(file.resolve()) if Path(given.cell).exists() else given.cell
         print(real_time_text(cell) if given.real_time else compose_text(cell), end="")
     except DeltaqError as error:
         parser.error(str(error))

@@ -1,6 +1,6 @@
 """Writes systemd units from the table of services: `python -m deltaq_deploy.launch.systemd CELL --to FOLDER [--real]`.
 
-Without arguments it writes those of the emulated lab cell to `deploy/systemd`; `make docs` does.
+`make docs` writes those of the emulated lab cell to `deploy/systemd` with it.
 """
 
 from __future__ import annotations
@@ -209,7 +209,6 @@ def _hardened(role: Role, cell_name: str) -> Lines:
     return _HARDENED.format(home=home, no_real_time=no_real_time).splitlines()
 
 
-FOLDER = Path(__file__).parents[3] / "deploy" / "systemd"
 CELL = "lab"
 PYTHON = Path("/opt/deltaq/bin/python")
 HEADER = (
@@ -260,8 +259,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m deltaq_deploy.launch.systemd", description="systemd units of a cell"
     )
-    parser.add_argument("cell", nargs="?", help="name or YAML file of the cell")
-    parser.add_argument("--to", type=Path, metavar="FOLDER", help="folder to write them to")
+    parser.add_argument("cell", help="name or YAML file of the cell")
+    parser.add_argument("--to", type=Path, metavar="FOLDER", required=True, help="folder to write them to")
     parser.add_argument("--real", action="store_true", help="real robots: no emulator")
     parser.add_argument(
         "--python", type=Path, default=PYTHON, help="that has deltaq installed (default: %(default)s)"
@@ -270,11 +269,6 @@ def main(argv: Sequence[str] | None = None) -> None:
         "--only", default="", help="services or kinds that this machine runs, e.g. robot-server,sim"
     )
     given = parser.parse_args(argv)
-    if given.cell is None:
-        write(units(), FOLDER)
-        return
-    if given.to is None:
-        parser.error("--to FOLDER: name the folder for the files")
     only = [name.strip() for name in given.only.split(",") if name.strip()]
     try:
         file = find_cell(given.cell)

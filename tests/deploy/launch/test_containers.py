@@ -7,9 +7,9 @@ import time
 from collections.abc import Iterator
 
 import pytest
+from test_compose import FILE
 
 from deltaq_cell.load import load_cell
-from deltaq_deploy.launch.compose import FILE
 from deltaq_protocol.blocking import connect
 from deltaq_protocol.messages import Phase
 
