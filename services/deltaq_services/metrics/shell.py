@@ -65,78 +65,56 @@ def families(status: Status | None) -> Iterator[Metric]:
     yield _gauge("deltaq_up", "1 if the HLI answered", (), [((), float(status is not None))])
     if status is None:
         return
-    yield _gauge("deltaq_cell_info", "The running cell", ("cell", "identity"), [(_cell(status), 1.0)])
+    info = [((status.cell, status.identity), 1.0)]
+    yield _gauge("deltaq_cell_info", "The running cell", ("cell", "identity"), info)
     yield from _of_robots(status.robots)
     yield from _of_cell(status)
-    yield _counter("deltaq_counter", "Counts, see the reference", ("service", "robot", "name"), _all(status))
+    counts = [
+        ((service, robot, name), n)
+        for service, robot, counted in _counted(status)
+        for name, n in counted.items()
+    ]
+    yield _counter("deltaq_counter", "Counts, see the reference", ("service", "robot", "name"), counts)
 
 
 def _of_robots(robots: Mapping[str, RobotStatus]) -> Iterator[Metric]:
-    counters = {name: robot.counters for name, robot in robots.items()}
-    yield _counter(
-        "deltaq_cycles",
-        "Cycles of the robot's session",
-        ("robot",),
-        [((name,), robot.cycle) for name, robot in robots.items()],
-    )
     for family, counter, help_ in (
         ("deltaq_admissions", "admissions", "Cycles with a fresh admission"),
         ("deltaq_replies_missed", "reply_missed", "Cycles whose reply the KRC did not take"),
     ):
-        yield _counter(
-            family,
-            help_,
-            ("robot",),
-            [((name,), counted.get(counter, 0)) for name, counted in counters.items()],
-        )
+        counted = [((name,), robot.counters.get(counter, 0)) for name, robot in robots.items()]
+        yield _counter(family, help_, ("robot",), counted)
     for family, prefix, label, help_ in (
         ("deltaq_admissions_not_taken", "admission_", "reason", "Admissions that were not taken"),
         ("deltaq_braked_cycles", "braked_cycles_", "cause", "Cycles of the brake"),
         ("deltaq_held", "held_", "reason", "Times that the robot was held"),
     ):
-        yield _counter(
-            family,
-            help_,
-            ("robot", label),
-            [
-                ((name, end), count)
-                for name, counted in counters.items()
-                for end, count in _endings(counted, prefix)
-            ],
-        )
-    yield _gauge(
-        "deltaq_phase",
-        "1 for the phase that the robot is in",
-        ("robot", "phase"),
-        [
-            ((name, phase.value), float(robot.phase is phase))
+        ends = [
+            ((name, end), count)
             for name, robot in robots.items()
-            for phase in Phase
-        ],
-    )
-    yield _gauge(
-        "deltaq_leased",
-        "1 if a client holds the robot's lease",
-        ("robot",),
-        [((name,), float(robot.lease.holder is not None)) for name, robot in robots.items()],
-    )
-    yield _gauge(
-        "deltaq_drive_lag_seconds",
-        "Measured lag of an axis, counted from 1, until a setpoint has arrived",
-        ("robot", "axis"),
-        [
-            ((name, str(axis)), lag_s)
-            for name, robot in robots.items()
-            for axis, lag_s in enumerate(robot.lag_s, start=1)
-            if lag_s is not None
-        ],
-    )
-    yield _gauge(
-        "deltaq_state_age_seconds",
-        "Age of the newest state at the HLI",
-        ("robot",),
-        [((name,), robot.state_age_s) for name, robot in robots.items() if robot.state_age_s is not None],
-    )
+            for end, count in _endings(robot.counters, prefix)
+        ]
+        yield _counter(family, help_, ("robot", label), ends)
+    cycles = [((name,), robot.cycle) for name, robot in robots.items()]
+    yield _counter("deltaq_cycles", "Cycles of the robot's session", ("robot",), cycles)
+    phases = [
+        ((name, phase.value), float(robot.phase is phase))
+        for name, robot in robots.items()
+        for phase in Phase
+    ]
+    yield _gauge("deltaq_phase", "1 for the phase that the robot is in", ("robot", "phase"), phases)
+    leased = [((name,), float(robot.lease.holder is not None)) for name, robot in robots.items()]
+    yield _gauge("deltaq_leased", "1 if a client holds the robot's lease", ("robot",), leased)
+    lags = [
+        ((name, str(axis)), lag_s)
+        for name, robot in robots.items()
+        for axis, lag_s in enumerate(robot.lag_s, start=1)
+        if lag_s is not None
+    ]
+    what = "Measured lag of an axis, counted from 1, until a setpoint has arrived"
+    yield _gauge("deltaq_drive_lag_seconds", what, ("robot", "axis"), lags)
+    ages = [((name,), robot.state_age_s) for name, robot in robots.items() if robot.state_age_s is not None]
+    yield _gauge("deltaq_state_age_seconds", "Age of the newest state at the HLI", ("robot",), ages)
 
 
 def _of_cell(status: Status) -> Iterator[Metric]:
@@ -147,27 +125,20 @@ def _of_cell(status: Status) -> Iterator[Metric]:
         ("deltaq_missed_admissions", status.gate, "missed_admissions_", "robot", "Admissions not taken"),
     ):
         yield _counter(family, help_, (label,), [((end,), n) for end, n in _endings(counted, prefix)])
-    yield _counter(
-        "deltaq_attempts_refused",
-        "Attempts of clients that were refused",
-        ("what", "reason"),
-        [
-            ((kind.value, code), n)
-            for kind in AuditKind
-            for code, n in _endings(status.hli, f"attempts_refused_{kind}_")
-        ],
-    )
-    yield _counter(
-        "deltaq_guarded_refused",
-        "Messages of the guarded realm that were not believed",
-        ("service", "robot", "cause"),
-        [
-            ((service, robot, cause), sum(n for _, n in refused))
-            for service, robot, counted in _counted(status)
-            for cause in ("stale",)
-            if (refused := _endings(counted, f"{cause}_"))
-        ],
-    )
+    refused = [
+        ((kind.value, code), n)
+        for kind in AuditKind
+        for code, n in _endings(status.hli, f"attempts_refused_{kind}_")
+    ]
+    what = "Attempts of clients that were refused"
+    yield _counter("deltaq_attempts_refused", what, ("what", "reason"), refused)
+    stale = [
+        ((service, robot, "stale"), sum(n for _, n in endings))
+        for service, robot, counted in _counted(status)
+        if (endings := _endings(counted, "stale_"))
+    ]
+    what = "Messages of the guarded realm that were not believed"
+    yield _counter("deltaq_guarded_refused", what, ("service", "robot", "cause"), stale)
     connections, sessions = (
         status.hli.get(name, 0) for name in ("tcp_connections_open", "zenoh_sessions_open")
     )
@@ -189,22 +160,10 @@ def _of_cell(status: Status) -> Iterator[Metric]:
             yield _gauge(family, help_, (), [((), value)])
 
 
-def _all(status: Status) -> list[_Sample]:
-    return [
-        ((service, robot, name), n)
-        for service, robot, counted in _counted(status)
-        for name, n in counted.items()
-    ]
-
-
 def _counted(status: Status) -> list[tuple[str, str, Mapping[str, int]]]:
     """What each service counts: its name, its robot if it has one, and its counters."""
     services: list[tuple[str, str, Mapping[str, int]]] = [(HLI, "", status.hli), (SIM, "", status.gate)]
     return services + [(ROBOT_SERVER, name, robot.counters) for name, robot in status.robots.items()]
-
-
-def _cell(status: Status) -> _Labels:
-    return status.cell, status.identity
 
 
 def _endings(counters: Mapping[str, int], prefix: str) -> list[tuple[str, int]]:
