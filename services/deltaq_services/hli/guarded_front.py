@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from functools import partial
+from typing import TYPE_CHECKING
 
 import zenoh
 
@@ -17,9 +18,11 @@ from deltaq_protocol.messages import Message
 from deltaq_protocol.sayings import HLI, SIM, robot_server
 from deltaq_protocol.topic import Party, Topic
 from deltaq_services.guarded_realm import open_guarded_session
-from deltaq_services.hli.port import Port
 from deltaq_services.hli.zenoh_session import HliSession
 from deltaq_services.outputs import Output
+
+if TYPE_CHECKING:
+    from deltaq_services.hli.shell import Hli
 
 _log = logging.getLogger(__name__)
 
@@ -34,7 +37,7 @@ class GuardedFront:
         RuntimeFolderError: the folder of the sockets is not this user's alone.
     """
 
-    def __init__(self, cell: CellDescription, port: Port) -> None:
+    def __init__(self, cell: CellDescription, port: Hli) -> None:
         robots = tuple(cell.robots)
         streams = topics.SERVER_STATE, topics.GATE_VERDICT
         self._concerned = {

@@ -8,7 +8,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgpack
 import zenoh
@@ -33,11 +33,13 @@ from deltaq_protocol.topic import Party, Realm, Topic
 from deltaq_services.guarded_realm import service_tls
 from deltaq_services.hli.authentication import Authentication
 from deltaq_services.hli.leases import Sequence
-from deltaq_services.hli.port import Port
 from deltaq_services.hli.requests import ROWS, RequestRow
 from deltaq_services.hli.zenoh_session import FloodWait, HliSession
 from deltaq_services.outputs import ClientOrigin, Output, Sender
 from deltaq_services.rate_limit import RateLimit
+
+if TYPE_CHECKING:
+    from deltaq_services.hli.shell import Hli
 
 # Rate filter of increments over zenoh, before the core: checks their proofs and bounds their number.
 #
@@ -194,7 +196,7 @@ class OpenFront:
         ServiceUnreachableError: if `cell.hli` cannot be listened on.
     """
 
-    def __init__(self, cell: CellDescription, port: Port) -> None:
+    def __init__(self, cell: CellDescription, port: Hli) -> None:
         self._cell = cell.cell
         self._increment_keys = {robot: topics.INCREMENT.key(cell.cell, robot=robot) for robot in cell.robots}
         self._port = port

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections import Counter
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from deltaq_protocol.audit import AuditKind, AuditOutcome
 from deltaq_protocol.codec import InvalidMessageError, from_map, line_to_map, to_line
@@ -28,9 +27,12 @@ from deltaq_services.hli.commands import Deed
 from deltaq_services.hli.line_encryption import CERTIFICATE_FILE, is_overheard
 from deltaq_services.hli.line_requests import MAX_LINE_BYTES, ReceivedLines, hello_of, of_client, request_type
 from deltaq_services.hli.newcomers import identity_of
-from deltaq_services.hli.port import Port
 from deltaq_services.hli.state import answered_by_error
 from deltaq_services.outputs import ClientOrigin, Output, Sender, ToSender
+
+if TYPE_CHECKING:
+    from deltaq_services.hli.shell import Hli
+    from deltaq_services.hli.tcp_front import TcpFront
 
 MAX_MALFORMED_IN_A_ROW = 100
 MAX_UNREAD_BYTES = 1024 * 1024
@@ -42,28 +44,6 @@ STOP_DEADLINE_S = 1.0
 """Time for a stop on a connection beyond the limits."""
 _SEND_BUFFER_BYTES = 64 * 1024
 """Approximate size of the kernel's buffer: buffered states cannot be replaced by newer ones."""
-
-
-class Front(Protocol):
-    """The interface of the server for its connections."""
-
-    counters: Counter[str]
-
-    @property
-    def description_line(self) -> bytes:
-        """The answer to `describe`."""
-
-    def admit(self, connection: TcpConnection, address: str, is_encrypted: bool) -> bool:
-        """Accept a connection as a client's; False: only for a stop."""
-
-    def proven(self, hello: Hello, address: str) -> Hello | None:
-        """A hello with its token, given or proved; None if it is wrong, or too many were tried."""
-
-    def leave(self, connection: TcpConnection) -> None:
-        """Remove a closed connection."""
-
-    def wants_turn(self, connection: TcpConnection) -> None:
-        """Note that a connection has a waiting line."""
 
 
 class TcpConnection(asyncio.Protocol, Sender):
@@ -85,7 +65,7 @@ class TcpConnection(asyncio.Protocol, Sender):
     lasting = True
     _transport: asyncio.Transport
 
-    def __init__(self, port: Port, front: Front) -> None:
+    def __init__(self, port: Hli, front: TcpFront) -> None:
         self._port = port
         self._front = front
         self._client: Hello | None = None

@@ -7,6 +7,7 @@ import logging
 import ssl
 from collections import Counter
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 from deltaq_protocol.audit import AuditKind, AuditOutcome
 from deltaq_protocol.codec import to_line
@@ -15,10 +16,12 @@ from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.commands import Deed
 from deltaq_services.hli.newcomers import HANDSHAKE_S, Handshake, Newcomers
 from deltaq_services.hli.places import MAX_CONNECTIONS, MAX_OF_A_PEER, LineTurns, Places
-from deltaq_services.hli.port import Port
 from deltaq_services.hli.tcp_connection import TcpConnection, address_of
 from deltaq_services.outputs import ClientOrigin
 from deltaq_services.rate_limit import Tries
+
+if TYPE_CHECKING:
+    from deltaq_services.hli.shell import Hli
 
 _log = logging.getLogger(__name__)
 
@@ -37,7 +40,7 @@ class TcpFront:
         counters: of the server and its connections.
     """
 
-    def __init__(self, port: Port) -> None:
+    def __init__(self, port: Hli) -> None:
         self._port = port
         self._newcomers: Newcomers | None = None
         self._encryption: ssl.SSLContext | None = None
