@@ -139,7 +139,6 @@ class ScriptedLeader:
         cycle_s: cycle of the robot [s].
         speed_m_s: largest tool speed, kept nearly always [m/s].
         seed: seed of the motion; one seed is one motion.
-        workspace: box that the tool moves in; 0.7 x 0.6 x 0.3 m around the tool's home if not given.
         stick: moves the tool in place of the joystick that the box, the seed and the acceleration are for.
         stick_m_s2: largest acceleration of the tool that the joystick asks for [m/s^2].
     """
@@ -161,7 +160,6 @@ class ScriptedLeader:
         cycle_s: float,
         speed_m_s: float = 0.25,
         seed: int = 0,
-        workspace: Workspace | None = None,
         stick: Stick | None = None,
         stick_m_s2: float = STICK_ACCELERATION_M_S2,
     ) -> None:
@@ -170,7 +168,7 @@ class ScriptedLeader:
         self.limits = IncrementLimits.of(model, cycle_s)
         self._kinematics = Kinematics(model, "tool")
         home = Kinematics(model, "tool").position
-        self.workspace = workspace or Workspace.around(home, (0.35, 0.3, 0.15))
+        self.workspace = Workspace.around(home, (0.35, 0.3, 0.15))
         self._joystick: Stick = stick or Joystick(speed_m_s, seed, self.workspace, cycle_s, stick_m_s2)
         self._cycle_s = cycle_s
         self._inverse_weights = np.where(model.revolute, 1.0 / self.revolute_weight**2, 1.0)

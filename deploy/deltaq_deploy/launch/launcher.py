@@ -166,12 +166,12 @@ class Launcher:
         """
         self._start(self.services, idle_s)
 
-    def restart(self, name: str, idle_s: float = IDLE_S) -> None:
+    def restart(self, name: str) -> None:
         """Start a service again that has ended; raises as `start` does."""
         self.stop_service(name)
         again = [service for service in self.services if service.name == name]
         self._wait_for_ports(again)
-        self._start(again, idle_s)
+        self._start(again, IDLE_S)
 
     def wait(self, timeout_s: float | None = None) -> LauncherEvent | None:
         """The next event, or None if there is none within `timeout_s`."""

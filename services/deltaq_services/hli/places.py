@@ -84,12 +84,11 @@ class LineTurns(Generic[C]):
 
     Args:
         most_lines_s: lines a second of one connection.
-        most_together_s: lines a second of all connections without a lease together.
     """
 
-    def __init__(self, most_lines_s: float = MOST_LINES_S, most_together_s: float = MOST_TOGETHER_S) -> None:
+    def __init__(self, most_lines_s: float = MOST_LINES_S) -> None:
         self._most_lines_s = most_lines_s
-        self._together = RateLimit(most_together_s)
+        self._together = RateLimit(MOST_TOGETHER_S)
         self._rates: dict[C, RateLimit] = {}
         # dictionaries as queues: each connection once, the one that waits longest first
         self._holders: dict[C, None] = {}
