@@ -32,7 +32,7 @@ JITTER = 3
 
 
 def telegram(ipoc, q=FR.home, programmed=FR.home):
-    return KrcTelegram(ipoc % 2**32, q, None, None, {}, programmed)
+    return KrcTelegram(ipoc % 2**32, q, None, {}, programmed)
 
 
 def session(ipoc_step=None, silence_s=SILENCE_S, cycle_s=CYCLE_S):

@@ -11,19 +11,11 @@ from collections.abc import Mapping
 from operator import itemgetter
 from types import MappingProxyType
 from typing import NamedTuple
-from xml.sax.saxutils import escape
 
 import numpy as np
 
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.rsi.axes import (
-    DEG_PER_RAD,
-    MM_PER_M,
-    POSE_AXES,
-    AxisMap,
-    EthernetConfigError,
-    TelegramError,
-)
+from deltaq_protocol.rsi.axes import AxisMap, EthernetConfigError, TelegramError
 from deltaq_protocol.rsi.ethernet_xml import ElementType, EthernetConfig
 from deltaq_protocol.rsi.layout import (
     DECIMALS,
@@ -38,8 +30,6 @@ from deltaq_protocol.rsi.layout import (
 )
 
 MAX_TELEGRAM_BYTES = 4096
-_POSE_SCALE = (1.0 / MM_PER_M,) * 3 + (1.0 / DEG_PER_RAD,) * 3
-MAX_TEXT = 80
 _MAX_CORRECTION = 1e6
 # some controllers write TYPE
 _TYPE = '(?i:Type)="KUKA"'
@@ -55,7 +45,6 @@ class KrcTelegram(NamedTuple):
         q: (n,) measured joints [rad or m]; None in the first telegram of a KR C2, which has nothing but
             its IPOC.
         delay: late packets so far, as the controller counts them; None if it does not send them.
-        pose: of the tool, as it was written; None if not sent. `rist` reads it.
         inputs: digital inputs by name.
         q_programmed: (n,) setpoint of the programmed path, which corrections do not move; None if not sent.
             When it changes, a new RSI session has begun. While it is written the same, it is the same object.
@@ -65,17 +54,9 @@ class KrcTelegram(NamedTuple):
     ipoc: int
     q: Array | None
     delay: int | None
-    pose: tuple[bytes, ...] | None
     inputs: dict[str, bool]
     q_programmed: Array | None
     is_usual: bool = False
-
-    @property
-    def rist(self) -> tuple[float, ...] | None:
-        """Actual pose of the tool, X, Y, Z [m] and A, B, C [rad], `R = Rz(A) Ry(B) Rx(C)`; None if not sent."""
-        if self.pose is None:
-            return None
-        return tuple(float(value) * scale for value, scale in zip(self.pose, _POSE_SCALE, strict=True))
 
 
 class SensorCodec:
@@ -120,7 +101,7 @@ class SensorCodec:
     def template(self) -> tuple[bytes, tuple[int, ...]]:
         """A reply as a template, and the value for each of its places.
 
-        A place is an index into corrections [deg or mm], then outputs, then text, IPOC and stop.
+        A place is an index into corrections [deg or mm], then outputs, then IPOC and stop.
         """
         return self._template, tuple(self._places)
 
@@ -142,9 +123,8 @@ class SensorCodec:
                     "add it with TYPE DOUBLE and INDX INTERNAL"
                 )
         digital = digital_fields(self._config, "SEND", self._fields, inputs)
-        pose = [by_name.get(("RIst", axis)) for axis in POSE_AXES]
         delay = by_name.get(("Delay", "D"))
-        wanted = {field for field in [*measured, *programmed, *pose, *digital.values(), delay] if field}
+        wanted = {field for field in [*measured, *programmed, *digital.values(), delay] if field}
         captured = [field for field in self._fields if field in wanted]
         place_of = {field: number for number, field in enumerate(captured)}
 
@@ -154,7 +134,6 @@ class SensorCodec:
 
         self._q_places = places(measured) or []
         self._programmed_places = places(programmed)
-        self._pose_places = places(pose)
         self._delay_place = None if delay is None else place_of[delay]
         self._input_places = {name: place_of[field] for name, field in digital.items()}
         self.has_programmed = self._programmed_places is not None
@@ -182,8 +161,7 @@ class SensorCodec:
         }
         joints = len(self.axes)
         self._outputs, self._known_outputs = tuple(outputs), frozenset(outputs)
-        self.has_text = any(field.element.internal == "EStr" for field in fields)
-        # the template's places, as indices into corrections, then outputs, then text, then IPOC, then stop
+        # the template's places, as indices into corrections, then outputs, then IPOC, then stop
         self._places: list[int] = []
 
         def value(field: Field) -> str:
@@ -191,20 +169,17 @@ class SensorCodec:
                 self._places.append(self.axes.axes.index(axis))
                 return f"%.{DECIMALS}f"
             if (name := output_of.get(field)) == _STOP:
-                self._places.append(joints + len(outputs) + 2)
+                self._places.append(joints + len(outputs) + 1)
                 return "%d"
             if name is not None:
                 self._places.append(joints + self._outputs.index(name))
                 return "%d"
-            if field.element.internal == "EStr":
-                self._places.append(joints + len(outputs))
-                return "%s"
             if field.element.type is ElementType.DOUBLE:
                 return f"{0:.{DECIMALS}f}"
             return "" if field.element.type is ElementType.STRING else "0"
 
         text = document("Sen", f'Type="{self._config.sentype}"', fields, value)
-        self._places.append(joints + len(outputs) + 1)
+        self._places.append(joints + len(outputs))
         self._in_places = itemgetter(*self._places)
         self._all_off = (False,) * len(outputs)
         self._template = text.replace("%IPOC%", "%d").encode()
@@ -223,12 +198,9 @@ class SensorCodec:
             return self._decode_ipoc_only(datagram)
         values = match.groups()
         q = np.array([float(values[place]) for place in self._q_places]) * self._per_reported
-        pose = None if self._pose_places is None else tuple([values[place] for place in self._pose_places])
         delay = None if self._delay_place is None else int(float(values[self._delay_place]))
         inputs = {name: float(values[place]) != 0.0 for name, place in self._input_places.items()}
-        return KrcTelegram(
-            int(values[-1]), q, delay, pose, inputs, self._programmed(values), usual is not None
-        )
+        return KrcTelegram(int(values[-1]), q, delay, inputs, self._programmed(values), usual is not None)
 
     def _programmed(self, values: tuple[bytes, ...]) -> Array | None:
         if self._programmed_places is None:
@@ -241,7 +213,7 @@ class SensorCodec:
 
     def _decode_ipoc_only(self, datagram: bytes) -> KrcTelegram:
         if len(datagram) <= MAX_TELEGRAM_BYTES and (match := self._ipoc_only.fullmatch(datagram)):
-            return KrcTelegram(int(match[1]), None, None, None, {}, None)
+            return KrcTelegram(int(match[1]), None, None, {}, None)
         raise TelegramError(f"{self._explain(datagram)}; got {len(datagram)} bytes: {datagram[:120]!r}")
 
     def _explain(self, datagram: bytes) -> str:
@@ -270,7 +242,6 @@ class SensorCodec:
         ipoc: int,
         correction: Array,
         outputs: Mapping[str, bool] | None = None,
-        text: str = "",
         stop: bool = False,
     ) -> bytes:
         """Write the reply to the telegram with that IPOC.
@@ -279,13 +250,11 @@ class SensorCodec:
             ipoc: that of the answered telegram.
             correction: (n,) total (absolute) or this cycle's (relative) correction [rad or m].
             outputs: digital outputs by name; those not given are off.
-            text: shown on the pendant, if the configuration has `DEF_EStr` (`has_text`); cut to 80 characters.
             stop: end the motion on the controller's side, if the codec has a TAG for it.
 
         Raises:
             TelegramError: if the correction has not n elements, or one that is not finite or too large to be
-                written, if an output has a name that the robot does not have, or there is text but no
-                `DEF_EStr`.
+                written, or an output has a name that the robot does not have.
         """
         axes = self.axes.axes
         if len(correction) != len(axes):
@@ -303,14 +272,9 @@ class SensorCodec:
                 f"outputs {sorted(set(outputs) - set(self._outputs))} are not known, allowed are "
                 f"{list(self._outputs)}"
             )
-        if text and not self.has_text:
-            raise TelegramError(
-                f"{self._config.source} has no DEF_EStr in RECEIVE, so no text can be sent: {text!r}"
-            )
         pool: list[object] = [
             *values,
             *([bool(outputs.get(name)) for name in self._outputs] if outputs else self._all_off),
-            escape(text[:MAX_TEXT]).encode("ascii", "replace") if text else b"",
             ipoc,
             stop,
         ]

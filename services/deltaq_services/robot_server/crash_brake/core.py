@@ -102,7 +102,7 @@ class CrashPlan:
     Attributes:
         pattern, elements, most_bytes: of telegrams, see `PlainTelegrams`.
         template: of a reply, with a place for each of `places`.
-        places: indices into corrections, outputs, text, IPOC and stop.
+        places: indices into corrections, outputs, IPOC and stop.
         commanded: (n,) deg or mm of a correction per rad or m.
         outputs: number of digital outputs.
         most: (n,) that a joint may travel in one cycle [rad or m].
@@ -237,7 +237,7 @@ class CrashBrake:
         self.over = (self.at_rest and self._is_done) or self._to_repeat < 0
         self.replies += 1
         values = [q * per for q, per in zip(self.correction, self._plan.commanded, strict=True)]
-        pool: tuple[object, ...] = (*values, *self._record.outputs, b"", telegram.ipoc, stop)
+        pool: tuple[object, ...] = (*values, *self._record.outputs, telegram.ipoc, stop)
         return self._template % tuple([pool[place] for place in self._plan.places])
 
     def _brake(self) -> None:

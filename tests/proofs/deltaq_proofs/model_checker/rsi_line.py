@@ -61,14 +61,13 @@ class Packed(SensorCodec):
     def decode(self, datagram: bytes) -> KrcTelegram:
         """Unpack a telegram."""
         ipoc, q, programmed, delay = _TELEGRAM.unpack(datagram)
-        return KrcTelegram(ipoc, np.array([q]), delay, None, {}, np.array([programmed]))
+        return KrcTelegram(ipoc, np.array([q]), delay, {}, np.array([programmed]))
 
     def encode(
         self,
         ipoc: int,
         correction: Array,
         outputs: Mapping[str, bool] | None = None,
-        text: str = "",
         stop: bool = False,
     ) -> bytes:
         """Pack a reply."""
