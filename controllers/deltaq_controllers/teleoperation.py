@@ -137,11 +137,6 @@ class SignalLog:
     switched: list[Switched] = field(default_factory=list)
 
     @property
-    def failed(self) -> list[Switched]:
-        """Outputs that could not be switched."""
-        return [each for each in self.switched if each.error]
-
-    @property
     def status(self) -> str:
         """Outputs and inputs as one line of text."""
         told = {**self.outputs, **self.inputs}

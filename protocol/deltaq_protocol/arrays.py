@@ -11,4 +11,3 @@ Array: TypeAlias = NDArray[np.float64]
 """An array of real numbers; each use gives shape and unit."""
 Flags: TypeAlias = NDArray[np.bool_]
 Indices: TypeAlias = NDArray[np.intp]
-Bytes: TypeAlias = NDArray[np.uint8]

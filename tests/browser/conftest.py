@@ -134,7 +134,7 @@ LINE = """(() => {
         send(text) {
             const {type, id, sent_ms} = JSON.parse(text);
             line.sent.push(JSON.parse(text));
-            if (type === "ping") this.says({type: "pong", id, sent_ms, server_ms: sent_ms});
+            if (type === "ping") this.says({type: "pong", id, sent_ms});
             else if (line.answers) {
                 queueMicrotask(() => this.says({type: "ack", id, outcome: "done", text: "", ...line.answers}));
             }
@@ -196,7 +196,7 @@ def alone(chromium, lone_console):
     contexts = []
     bench = ConsoleBench()
     bench.states()
-    hello = ConsoleHello(console="one", client="Anna", operator=True, token_needed=False, server_ms=0.0)
+    hello = ConsoleHello(console="one", client="Anna", operator=True, token_needed=False)
     frame = base64.b64encode(bench.core.picture.frame(bench.now_s)).decode()
     line = LINE.replace("HELLO", hello.model_dump_json()).replace("FRAME", frame)
 

@@ -35,7 +35,7 @@ class Socket {
   }
 }
 
-const hello = (more = {}) => ({ type: "hello", console: "one", client: "desk", operator: true, token_needed: false, server_ms: 0, ...more });
+const hello = (more = {}) => ({ type: "hello", console: "one", client: "desk", operator: true, token_needed: false, ...more });
 
 function connected(t) {
   mock.timers.enable({ apis: ["setInterval", "setTimeout", "Date"], now: 1_000_000 });

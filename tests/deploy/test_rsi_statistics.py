@@ -146,7 +146,7 @@ def test_unlisted_and_missing_elements_are_named() -> None:
 def test_an_invalid_telegram_is_counted_and_sniffing_continues(datagram: bytes) -> None:
     assert look_at(datagram) is None
     statistics = watched([datagram, *telegrams(2)])
-    assert (statistics.summary().garbled, statistics.telegrams) == (1, 2)
+    assert (statistics.summary().garbled, statistics.summary().telegrams) == (1, 2)
 
 
 def test_silence_gives_a_summary() -> None:

@@ -61,7 +61,7 @@ class RosNode:
     def _endpoint(self, number: int, entity: str, topic: str, kind: RosType, depth: int) -> RosEndpoint:
         parts = _mangled(topic), kind.dds_name, kind.hash, _quality(depth)
         token = "/".join((self._token(number, entity), *parts))
-        return RosEndpoint(topic, topic_key(self.domain_id, topic, kind), token)
+        return RosEndpoint(topic_key(self.domain_id, topic, kind), token)
 
     def _token(self, number: int, entity: str) -> str:
         no_enclave = "%"
@@ -71,9 +71,8 @@ class RosNode:
 
 @dataclass(frozen=True, slots=True)
 class RosEndpoint:
-    """A publisher or a subscription: its topic, zenoh's key for the data, and the token that shows it in the graph."""
+    """A publisher or a subscription: zenoh's key for the data, and the token that shows it in the graph."""
 
-    topic: str
     key: str
     token: str
 

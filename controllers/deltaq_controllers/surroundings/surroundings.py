@@ -53,7 +53,6 @@ class RobotSurroundings:
     """
 
     def __init__(self, cell: CellModel, robot: str) -> None:
-        self._cell, self._robot = cell, robot
         self._cycle_s = cell.description.cycle_s
         self._neighbours = Neighbours(cell, robot, MOST_PAIRS)
         self._others = OtherRobots(cell, robot)
@@ -70,10 +69,6 @@ class RobotSurroundings:
     def update(self, view: View) -> None:
         """Add an observation of the other robots."""
         self._others.update(view)
-
-    def forget(self) -> None:
-        """Forget all observations of the other robots."""
-        self._others = OtherRobots(self._cell, self._robot)
 
     def kept(self, pair: int) -> tuple[tuple[str, str], float]:
         """The names of a pair of bodies, and the distance that is kept between them [m]."""

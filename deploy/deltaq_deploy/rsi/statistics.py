@@ -145,11 +145,6 @@ class WireStatistics:
         self._decimals: int | None = None
         self._opened_with_ipoc_only = False
 
-    @property
-    def telegrams(self) -> int:
-        """Telegrams so far."""
-        return self._telegrams
-
     def saw(self, time_s: float, datagram: bytes, peer: str) -> None:
         """Count a datagram from `peer`, received at `time_s` on any monotonic clock."""
         if peer in self._peers or len(self._peers) < MOST_PEERS:

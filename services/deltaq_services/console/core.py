@@ -1,6 +1,6 @@
 """The console's decisions: rights of clients, requests to drivers and to the HLI, messages to browsers.
 
-No clock, no socket. The caller passes times: `now_s` of one clock, which frames and pongs show as the server's.
+No clock, no socket. The caller passes times: `now_s` of one clock, which frames show as the server's.
 """
 
 from __future__ import annotations
@@ -129,7 +129,6 @@ class ConsoleCore:
             client=client.name,
             operator=is_operator,
             token_needed=self._token_needed,
-            server_ms=1000.0 * now_s,
         )
         ways = (side.ways for side in self.robots.values() if side.ways is not None)
         return client, [*left, *(ToClient(number, message) for message in (hello, *self._log.kept, *ways))]
@@ -174,8 +173,7 @@ class ConsoleCore:
             return [acknowledged(client, command.id, AckOutcome.REFUSED, text)]
         late_s = client.clocks.hear(command.sent_ms / 1000.0, now_s)
         if isinstance(command, Ping):
-            pong = Pong(id=command.id, sent_ms=command.sent_ms, server_ms=1000.0 * now_s)
-            return [ToClient(client.number, pong)]
+            return [ToClient(client.number, Pong(id=command.id, sent_ms=command.sent_ms))]
         if late_s > EXPIRY_S[command.type]:
             self.counters["expired"] += 1
             text = f"your browser was {late_s:.2f} s late; bound {EXPIRY_S[command.type]:g} s: press again"

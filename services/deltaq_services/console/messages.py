@@ -63,16 +63,14 @@ class ConsoleHello(Message):
     client: str
     operator: bool
     token_needed: bool
-    server_ms: Real
 
 
 class Pong(Message):
-    """Answer to a `Ping`: its `sent_ms`, and this server's clock."""
+    """Answer to a `Ping`, with its `sent_ms`."""
 
     type: Literal["pong"] = "pong"
     id: str
     sent_ms: Real
-    server_ms: Real
 
 
 class AckOutcome(StrEnum):
