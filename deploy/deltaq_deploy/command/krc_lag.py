@@ -38,12 +38,11 @@ def lag(
     brings the robot to rest. Exit status 1 if an axis lags more than the cell's gate.servo_lag_s.
     """
     from deltaq_cell.load import load_cell
-    from deltaq_deploy.launch.cell_connection import Where, connect, known_robot
+    from deltaq_deploy.launch.cell_connection import Where, connect
 
     where = Where.of(cell, url, robot)
     presumed_s = load_cell(cell).gate.servo_lag_s if url is None else None
     with connect(where, "deltaq krc lag", token) as running:
-        known_robot(running.description, robot)
         cycle_s = running.description.cycle_s
         _require_ready(running, robot)
         with running.lease(robot) as leased:

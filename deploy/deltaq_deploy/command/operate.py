@@ -55,12 +55,11 @@ def reset(
 ) -> None:
     """End the hold of every robot of the cell, or of one; refused while its cause persists."""
     from deltaq_deploy.command.console import print_json
-    from deltaq_deploy.launch.cell_connection import Where, connect, known_robot
+    from deltaq_deploy.launch.cell_connection import Where, connect
     from deltaq_protocol.errors import RefusedError
 
     refused: list[RefusedError] = []
     with connect(Where.of(cell, url, robot), "deltaq reset", token) as running:
-        known_robot(running.description, robot)
         done = {}
         for name in [robot] if robot else list(running.robots):
             try:
@@ -97,12 +96,11 @@ def lease(
     """Show who holds the lease of a robot, or take it away."""
     import time
 
-    from deltaq_deploy.launch.cell_connection import Where, connect, known_robot
+    from deltaq_deploy.launch.cell_connection import Where, connect
 
     if take and release:
         raise typer.BadParameter("choose one of --take and --release")
     with connect(Where.of(cell, url, robot), "deltaq lease", token) as running:
-        known_robot(running.description, robot)
         if release:
             with running.lease(robot, take=True):
                 pass
@@ -140,11 +138,10 @@ def io(
 ) -> None:
     """Show digital outputs and inputs of a robot, or set outputs; refused while another client has its lease."""
     from deltaq_deploy.command.console import print_json
-    from deltaq_deploy.launch.cell_connection import Where, connect, known_robot
+    from deltaq_deploy.launch.cell_connection import Where, connect
 
     asked = dict(_switched(each) for each in outputs or ())
     with connect(Where.of(cell, url, robot), "deltaq io", token) as running:
-        known_robot(running.description, robot)
         if asked:
             with running.lease(robot) as leased:
                 told = leased.io(asked)
@@ -213,7 +210,7 @@ def dry_run(
 
     from deltaq_cell.load import load_cell
     from deltaq_deploy.command.console import print_json
-    from deltaq_deploy.launch.cell_connection import Where, connect, known_robot
+    from deltaq_deploy.launch.cell_connection import Where, connect
     from deltaq_protocol.messages import Outcome
 
     try:
@@ -224,7 +221,6 @@ def dry_run(
         raise typer.BadParameter(f"finite numbers with commas between them, got {dq!r}", param_hint="--dq")
     where = Where.of(cell, url, robot)
     with connect(where if url is not None else load_cell(cell), "deltaq dry-run") as running:
-        known_robot(running.description, robot)
         verdict = running.dry_run(robot, increment)
     if json:
         print_json(verdict.model_dump(mode="json"))
@@ -333,11 +329,10 @@ def _tell_view(
     from deltaq_cell.load import parse_cell
     from deltaq_cell.roles import first_camera
     from deltaq_deploy.command.console import print_json
-    from deltaq_deploy.launch.cell_connection import Where, connect, known_robot
+    from deltaq_deploy.launch.cell_connection import Where, connect
 
     with connect(Where.of(cell, url, robot or ""), "deltaq camera", token) as running:
         described = running.description
-        known_robot(described, robot or "")
         robot = robot or first_camera(parse_cell(described.yaml, described.cell))
         told = running.view(robot, *wishes)
     if json:

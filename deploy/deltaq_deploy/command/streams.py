@@ -82,12 +82,12 @@ def echo(
     import zenoh
 
     from deltaq_deploy.command.console import print_json
-    from deltaq_deploy.launch.cell_connection import Where, describe, known_robot, listen
+    from deltaq_deploy.launch.cell_connection import Where, describe, listen
     from deltaq_protocol.codec import unpack
 
     row = open_stream(topic)
     where = Where.of(cell, url, robot)
-    known_robot(describe(where, "deltaq topic echo"), robot)
+    describe(where, "deltaq topic echo")  # or say why there is nothing to hear
     printed = 0
     channel: Any = zenoh.handlers.FifoChannel(1024)
     with listen(where) as listener, listener.subscribe(row, channel, robot) as samples:

@@ -34,10 +34,12 @@ class Where:
     Attributes:
         hli: address of its HLI.
         cell: the name that it must have; None: any cell.
+        robot: a robot that it must have, if it is not empty.
     """
 
     hli: str
     cell: str | None = None
+    robot: str = ""
 
     @classmethod
     def of(cls, cell: str, url: str | None, robot: str = "") -> Where:
@@ -46,7 +48,7 @@ class Where:
         Args:
             cell: name of a shipped cell or path of a file.
             url: address of the HLI, or None.
-            robot: a robot that it must have; checked only if `cell` is a file.
+            robot: a robot that it must have.
 
         Raises:
             InvalidEndpointError: `url` is no address.
@@ -54,12 +56,12 @@ class Where:
             UnknownRobotError: the cell has no such robot.
         """
         if url is not None:
-            return cls(str(Endpoint.parse(url)))
+            return cls(str(Endpoint.parse(url)), robot=robot)
         from deltaq_cell.load import load_cell
 
         description = load_cell(cell)
         known_robot(description, robot)
-        return cls(description.hli, description.cell)
+        return cls(description.hli, description.cell, robot)
 
 
 def known_robot(cell: CellDescription | Description, robot: str) -> None:
@@ -84,6 +86,7 @@ def connect(cell: CellDescription | Where, client: str, token: str | None = None
     Raises:
         ServiceUnreachableError: if no HLI is there.
         OtherCellError: if it serves another cell, or has read another description of it.
+        UnknownRobotError: it has no such robot.
     """
     with blocking.connect(cell.hli, client, token) as running:
         if cell.cell is not None and running.description.cell != cell.cell:
@@ -92,6 +95,8 @@ def connect(cell: CellDescription | Where, client: str, token: str | None = None
             )
         if isinstance(cell, CellDescription):
             _compare(cell, running.description)
+        else:
+            known_robot(running.description, cell.robot)
         yield running
 
 
