@@ -87,8 +87,20 @@ def test_a_robot_with_two_hands_refuses_single_hand_commands(dawm, kind, fields,
     assert words in refused(bench, desk, kind, robot="dawm", **fields)
 
 
-@pytest.mark.parametrize(("kind", "fields"), [("mode", HOLD), ("choose_master", {}), ("jog", {"led": True})])
-def test_only_the_holder_grips_or_leads(dawm, kind, fields):
+POSE = {"hand": "left", "position_m": [1.0, 0.2, 1.1], "quaternion_wxyz": [1.0, 0.0, 0.0, 0.0]}
+
+
+@pytest.mark.parametrize(
+    ("kind", "fields"),
+    [
+        ("mode", HOLD),
+        ("choose_master", {}),
+        ("jog", {"led": True}),
+        ("reach", POSE),
+        ("advise", {"action": "ask"}),
+    ],
+)
+def test_only_the_holder_grips_leads_plans_or_asks(dawm, kind, fields):
     bench, _ = dawm
     assert "desk has it" in refused(bench, bench.browser("tower"), kind, robot="dawm", **fields)
     assert "observer" in refused(bench, bench.browser("eve", operator=False), kind, robot="dawm", **fields)

@@ -43,17 +43,6 @@ def test_an_invalid_pose_is_refused_with_its_field(bench, desk, change, named):
     assert len(bench.driver_requests()) == before
 
 
-def test_only_the_holder_plans_and_asks(bench, desk):
-    tower = bench.browser("tower")
-    assert "desk has it" in tower.send("reach", **POSE).text
-    assert "desk has it" in tower.send("advise", robot="fr", action="ask").text
-    assert bench.browser("eve", operator=False).send("reach", **POSE).outcome is REFUSED
-
-
-def test_a_late_pose_is_not_planned(bench, desk):
-    assert desk.send("reach", **POSE, late_s=2.1).outcome is AckOutcome.EXPIRED
-
-
 def test_a_pose_reaches_the_driver_and_a_missing_path_is_explained(bench, desk):
     assert desk.send("reach", id="p", **POSE).outcome is ASKED
     reach = bench.driver_requests()[-1]
