@@ -7,9 +7,19 @@ known, so for those there is a list to build it from.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from deltaq_deploy.krc.plan import PRECISION, TIMEOUT_CYCLES, KrcPlan, header, written, xml_comment
+from deltaq_deploy.krc.plan import (
+    PRECISION,
+    TIMEOUT_CYCLES,
+    Correction,
+    KrcPlan,
+    Signal,
+    header,
+    written,
+    xml_comment,
+)
 from deltaq_protocol.rsi.axes import ARM_AXES, EXTERNAL_AXES
 
 # The objects of an RSI context, their links and parameters, from the plan.
@@ -72,10 +82,17 @@ class Thing:
 
 def objects_of(plan: KrcPlan) -> tuple[Thing, ...]:
     """The objects of the context, the ETHERNET object last."""
-    inputs, outputs = _inputs(plan), _outputs(plan)
-    things = [*inputs, _correction(plan)]
+    inputs = [
+        _digital("DIGIN", number, 29, signal, "RSI_DataSize")
+        for number, signal in enumerate(_wired(plan.inputs), start=1)
+    ]
+    outputs = [
+        _digital("MAP2DIGOUT", number, 14, signal, "RSI_DataSizeX")
+        for number, signal in enumerate(_wired(plan.outputs), start=1)
+    ]
+    things = [*inputs, _correction("AXISCORR", plan.arm, ARM_AXES, "Stat")]
     if plan.external:
-        things.append(_external_correction(plan))
+        things.append(_correction("AXISCORREXT", plan.external, EXTERNAL_AXES))
     things += [_monitor(plan), *outputs]
     if plan.stop is not None:
         things.append(
@@ -91,30 +108,12 @@ def objects_of(plan: KrcPlan) -> tuple[Thing, ...]:
     return (*things, _ethernet(plan, inputs))
 
 
-def _correction(plan: KrcPlan) -> Thing:
-    limits = [Parameter(f"LowerLim{one.axis}", one.number, written(one.lower)) for one in plan.arm]
-    limits += [Parameter(f"UpperLim{one.axis}", one.number + 12, written(one.upper)) for one in plan.arm]
-    return Thing(
-        "AXISCORR",
-        "AXISCORR1",
-        33,
-        tuple(SignalLink(f"Corr{one.axis}", one.number, ETHERNET, one.channel) for one in plan.arm),
-        (("Stat", "Int"), *((axis, None) for axis in ARM_AXES)),
-        tuple(limits),
-    )
-
-
-def _external_correction(plan: KrcPlan) -> Thing:
-    limits = [Parameter(f"LowerLim{one.axis}", one.number, written(one.lower)) for one in plan.external]
-    limits += [Parameter(f"UpperLim{one.axis}", one.number + 12, written(one.upper)) for one in plan.external]
-    return Thing(
-        "AXISCORREXT",
-        "AXISCORREXT1",
-        33,
-        tuple(SignalLink(f"Corr{one.axis}", one.number, ETHERNET, one.channel) for one in plan.external),
-        tuple((axis, None) for axis in EXTERNAL_AXES),
-        tuple(limits),
-    )
+def _correction(kind: str, corrections: Sequence[Correction], axes: Sequence[str], *stat: str) -> Thing:
+    limits = [Parameter(f"LowerLim{one.axis}", one.number, written(one.lower)) for one in corrections]
+    limits += [Parameter(f"UpperLim{one.axis}", one.number + 12, written(one.upper)) for one in corrections]
+    links = [SignalLink(f"Corr{one.axis}", one.number, ETHERNET, one.channel) for one in corrections]
+    outputs = (*((name, "Int") for name in stat), *((axis, None) for axis in axes))
+    return Thing(kind, f"{kind}1", 33, tuple(links), outputs, tuple(limits))
 
 
 def _monitor(plan: KrcPlan) -> Thing:
@@ -127,47 +126,30 @@ def _monitor(plan: KrcPlan) -> Thing:
     return Thing("AXISCORRMON", "AXISCORRMON1", 82, (), tuple((axis, None) for axis in axes), tuple(bounds))
 
 
-def _inputs(plan: KrcPlan) -> list[Thing]:
-    wired = [signal for signal in plan.inputs if signal.digital is not None]
-    return [
-        Thing(
-            "DIGIN",
-            f"DIGIN{number}",
-            29,
-            (),
-            (("Out1", "Int"),),
-            (
-                Parameter("Index", 1, str(signal.digital), kind="System.Int32", least=1, most=4096),
-                Parameter("DataSize", 2, "0", "Bit", "KUKA.RSIVisual.RSI_DataSize"),
-            ),
-        )
-        for number, signal in enumerate(wired, start=1)
-    ]
+def _wired(signals: Sequence[Signal]) -> list[Signal]:
+    return [signal for signal in signals if signal.digital is not None]
 
 
-def _outputs(plan: KrcPlan) -> list[Thing]:
-    wired = [signal for signal in plan.outputs if signal.digital is not None]
-    return [
-        Thing(
-            "MAP2DIGOUT",
-            f"MAP2DIGOUT{number}",
-            14,
-            (SignalLink("In1", 1, ETHERNET, signal.channel, "Int"),),
-            (),
-            (
-                Parameter("Index", 1, str(signal.digital), kind="System.Int32", least=1, most=4096),
-                Parameter("DataSize", 2, "0", "Bit", "KUKA.RSIVisual.RSI_DataSizeX"),
-            ),
-        )
-        for number, signal in enumerate(wired, start=1)
-    ]
+def _digital(kind: str, number: int, type_number: int, signal: Signal, size: str) -> Thing:
+    """An object of the KRC's own $IN or $OUT."""
+    is_input = kind == "DIGIN"
+    return Thing(
+        kind,
+        f"{kind}{number}",
+        type_number,
+        () if is_input else (SignalLink("In1", 1, ETHERNET, signal.channel, "Int"),),
+        (("Out1", "Int"),) if is_input else (),
+        (
+            Parameter("Index", 1, str(signal.digital), kind="System.Int32", least=1, most=4096),
+            Parameter("DataSize", 2, "0", "Bit", f"KUKA.RSIVisual.{size}"),
+        ),
+    )
 
 
 def _ethernet(plan: KrcPlan, inputs: list[Thing]) -> Thing:
-    wired = [signal for signal in plan.inputs if signal.digital is not None]
     links = tuple(
         SignalLink(f"In{signal.channel}", signal.channel, source.name, 1)
-        for signal, source in zip(wired, inputs, strict=True)
+        for signal, source in zip(_wired(plan.inputs), inputs, strict=True)
     )
     last = plan.stop or (plan.outputs or plan.corrections)[-1]
     return Thing(
