@@ -15,7 +15,7 @@ from deltaq_protocol.guarded import Admission, ServerState
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.setpoint_motion import SetpointMotion
 from deltaq_services.phases import MAY_MOVE
-from deltaq_services.sim.tube import courses
+from deltaq_services.sim.tube import motions, up_to
 
 _SUMS = 1e-9
 """Rounding of a setpoint when increments are added in another order [rad or m]."""
@@ -71,11 +71,12 @@ def _off_course(state: ServerState, before: ServerState, in_flight: Sequence[Adm
     """
     if state.q_cmd == before.q_cmd:
         return None
-    known = courses(SetpointMotion.of(before), before.cycle, in_flight)
-    branch = known.get(state.sequence, known[before.sequence])
-    start = np.array(before.q_cmd)
-    course = np.vstack([start, branch.setpoints(start)[: state.cycle - before.cycle]])
-    off = np.abs(course - np.array(state.q_cmd))
+    chain = up_to(state.sequence, in_flight)
+    longest = chain[-1].cycle - before.cycle + chain[-1].brake_cycles if chain else before.plan.brake_cycles
+    course = motions(SetpointMotion.of(before), before.cycle, chain, min(state.cycle - before.cycle, longest))
+    if tuple(course[-1].q_cmd.tolist()) == state.q_cmd:
+        return None
+    off = np.abs(np.array([motion.q_cmd for motion in course]) - state.q_cmd)
     nearest = off[off.max(axis=1).argmin()]
     return None if nearest.max() <= _SUMS else int(nearest.argmax())
 

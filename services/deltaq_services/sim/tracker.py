@@ -17,7 +17,7 @@ from deltaq_cell.kernel.span import off_hull, widths
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.guarded import Admission, ServerState, TrackerMemory
 from deltaq_protocol.setpoint_motion import SetpointMotion
-from deltaq_services.sim.tube import Branch, DriveBounds, Windows, courses, motions, still_due, tube
+from deltaq_services.sim.tube import Branch, DriveBounds, Windows, courses, motions, still_due, tube, up_to
 
 
 class History:
@@ -171,8 +171,7 @@ class Tracker:
         """Remember the setpoints of the cycles between two states, or all that are possible."""
         unheard = state.cycle - before.cycle - 1
         if 0 < unheard <= self.drives.lag:
-            taken = [one.sequence for one in self.in_flight]
-            chain = self.in_flight[: taken.index(state.sequence) + 1] if state.sequence in taken else ()
+            chain = up_to(state.sequence, self.in_flight)
             sent = motions(self._now(), before.cycle, chain, unheard + 1)
             if np.array_equal(sent[-1].q_cmd, state.q_cmd):
                 for motion in sent[1:-1]:
@@ -184,11 +183,10 @@ class Tracker:
     def _is_displaced(self, before: ServerState, state: ServerState) -> bool:
         if state.q_cmd == before.q_cmd:
             return False
-        travel = np.array(state.q_cmd) - np.array(before.q_cmd)
-        # the increment is that of the last cycle, also where the KRC missed the reply and stands where it stood
-        unexplained = np.abs(travel - np.array(state.dq))
         unseen = state.cycle - before.cycle - 1
-        return bool((unexplained > unseen * self._fastest * (1 + 1e-6) + _SUMS).any())
+        # the increment is that of the last cycle, also where the KRC missed the reply and stands where it stood
+        told = zip(state.q_cmd, before.q_cmd, state.dq, self._fastest.tolist(), strict=True)
+        return any(abs(q - old - dq) > unseen * fastest * (1 + 1e-6) + _SUMS for q, old, dq, fastest in told)
 
     def snapshot(self) -> TrackerMemory:
         """Snapshot for `restore`."""

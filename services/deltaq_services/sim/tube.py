@@ -223,6 +223,12 @@ def motions(now: SetpointMotion, cycle: int, chain: Sequence[Admission], cycles:
     return found
 
 
+def up_to(sequence: int, chain: Sequence[Admission]) -> Sequence[Admission]:
+    """The part of a chain that ends with an admission; empty if that is not in it."""
+    taken = [admission.sequence for admission in chain]
+    return chain[: taken.index(sequence) + 1] if sequence in taken else ()
+
+
 def courses(now: SetpointMotion, cycle: int, chain: Sequence[Admission]) -> dict[int, Branch]:
     """Every course, by the number of the admission that it ends with; the first is that of the present plan."""
     found = {now.sequence: Branch(now.plan_dq, now.brake_cycles, now.step)}
