@@ -34,6 +34,7 @@ class RobotView:
             those that are admitted already [rad or m].
         dq: (n,) increment that leads to `q_cmd`, where the robot is too far away to see it [rad or m].
         ahead_cycles: by how many cycles `cycle` is later than the state: an increment takes effect so much later.
+        planned: increments of the next cycles, each (n,), as far as they wait in the robot's jitter buffer [rad or m].
     """
 
     cycle: int
@@ -42,13 +43,16 @@ class RobotView:
     q_cmd: Array
     ahead_cycles: int = 0
     dq: Array | None = None
+    planned: tuple[Array, ...] = ()
 
     @classmethod
     def from_state(cls, state: RobotState) -> Self:
         """Make it from a state message."""
         q_cmd = state.q_cmd if state.q_ahead is None else state.q_ahead
         cycle = state.cycle if state.setpoint_cycle is None else state.setpoint_cycle - 1
-        return cls(cycle, state.time_s, np.array(state.q), np.array(q_cmd), cycle - state.cycle)
+        planned = () if state.playout is None else tuple(map(np.array, state.playout.planned))
+        ahead_cycles = cycle - state.cycle
+        return cls(cycle, state.time_s, np.array(state.q), np.array(q_cmd), ahead_cycles, planned=planned)
 
     def after(self, cycle: int, dq: Array) -> RobotView:
         """The view with an increment (n,) in flight added; the increment takes effect in the cycle after `cycle`.

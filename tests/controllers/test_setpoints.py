@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -31,6 +33,20 @@ def test_a_robot_in_steady_motion_is_predicted_at_its_setpoints() -> None:
         tracker.update(seen(cycle, at(cycle)))
     np.testing.assert_allclose(tracker.velocity, VELOCITY)
     np.testing.assert_allclose(tracker.ahead(10 * CYCLE_S), at(14))
+
+
+def test_planned_increments_are_predicted_and_what_follows_continues_them() -> None:
+    tracker, planned = SetpointTracker(CYCLE_S), (np.array([0.003]), np.array([0.004]), np.array([0.004]))
+    for cycle in range(3):
+        tracker.update(seen(cycle, np.array([0.002 * cycle])))
+    tracker.update(replace(seen(3, np.array([0.006])), planned=planned))
+    reached = [0.0, 0.006, 0.009, 0.013, 0.017, 0.021]
+    for cycles, expected in ((-3, 0), (0, 1), (1, 2), (2, 3), (3, 4), (4, 5)):
+        np.testing.assert_allclose(tracker.ahead(cycles * CYCLE_S), reached[expected], atol=1e-12)
+    np.testing.assert_allclose(tracker.ahead(1.5 * CYCLE_S), 0.011)
+    np.testing.assert_allclose(tracker.velocity, 0.004 / CYCLE_S)
+    tracker.update(seen(4, np.array([0.006])))  # none was admitted
+    np.testing.assert_allclose(tracker.ahead(0.0), 0.006)
 
 
 def test_jittering_stamps_and_missed_states_change_nothing() -> None:

@@ -95,6 +95,19 @@ def test_on_an_even_link_each_cycle_has_an_increment_with_the_least_delay() -> N
     assert (link.buffer.told().late, link.buffer.told().empty) == (0, 0)
 
 
+def test_the_report_has_the_increments_of_the_next_turns_up_to_the_first_gap() -> None:
+    buffer, plan = new_buffer(), server_state().plan
+    for cycle in range(1, 8):
+        buffer.put(asked(cycle, cycle + 5), cycle + 5)  # five cycles under way: a delay of six
+    buffer.put(asked(9, 14), 14)
+    buffer.moved(11, plan)
+    assert buffer.told().planned == (DQ,) * 3  # those of 5, 6 and 7; 8 is lost
+    buffer.moved(14, plan)
+    assert buffer.told().planned == ()
+    buffer.moved(15, plan)
+    assert buffer.told().planned == (DQ,)
+
+
 def test_known_jitter_leaves_no_empty_cycle() -> None:
     link, draw = Link(), random.Random(3)
     ages: list[int | None] = [draw.choice((3, 4, 5, 6, 7)) for _ in range(1000)]

@@ -80,9 +80,11 @@ class OtherRobots:
 
 
 STALE_S = 0.1
-"""Age of a view beyond the link's usual delay, above which it is stale: its motion fades."""
+"""Age of a view beyond the link's usual delay, above which it is stale: its last predicted setpoint is kept."""
 LOST_S = 1.0
-"""The same, above which the other robot is lost: its last predicted setpoint is kept."""
+"""The same, above which the other robot is lost."""
+_USUAL_RISES = 0.01
+"""Rate at which the link's usual delay, the least of late, may rise [s/s]."""
 _ACCELERATION_S = 0.03
 """Time for which an unobserved acceleration is assumed to last."""
 _STEADY_S, _VELOCITY_S = 0.15, 0.3
@@ -104,13 +106,14 @@ class SetpointTracker:
         cycle_s: cycle of the robot [s]; setpoints are distinguished by cycles, since stamps of their arrival jitter.
 
     Attributes:
-        velocity: (n,) of the newest setpoint [rad/s or m/s]; empty before the first.
+        velocity: (n,) of the newest setpoint, or of the last that is planned [rad/s or m/s]; empty before the first.
     """
 
     def __init__(self, cycle_s: float) -> None:
         self._cycle_s = cycle_s
         self._known: _Known | None = None
         self._past: deque[_Known] = deque(maxlen=math.ceil(_PAST_S / cycle_s) + 1)  # newest first
+        self._planned: list[_Known] = []  # last first
         self._mean_velocity: Array | None = None
         self.velocity: Array = np.zeros(0)
         self._acceleration: Array = np.zeros(0)
@@ -128,6 +131,7 @@ class SetpointTracker:
             return
         self._known = _Known(view.cycle, q_cmd)
         self._past.appendleft(self._known)
+        self._planned = []
         if known is None or not 0.0 < elapsed_s < LOST_S:
             self._past = deque([self._known], self._past.maxlen)
             self.velocity, self._acceleration = np.zeros_like(q_cmd), np.zeros_like(q_cmd)
@@ -137,26 +141,39 @@ class SetpointTracker:
         before = mean if self._mean_velocity is None else self._mean_velocity
         self._acceleration = (mean - before) / elapsed_s
         self._mean_velocity = mean
+        for cycle, dq in enumerate(view.planned, view.cycle + 1):
+            q_cmd, before, mean = q_cmd + dq, mean, dq / self._cycle_s
+            self._acceleration = (mean - before) / self._cycle_s
+            self._planned.insert(0, _Known(cycle, q_cmd))
         self.velocity = mean + 0.5 * self._cycle_s * self._acceleration
+
+    @property
+    def planned_s(self) -> float:
+        """Time from the newest setpoint to the last that is planned [s]."""
+        return len(self._planned) * self._cycle_s
 
     def ahead(self, time_s: float) -> Array:
         """(n,) predicted setpoint `time_s` after the newest known one; a past one if negative [rad or m].
 
-        The farther ahead, the less of the acceleration counts, and then of the velocity.
+        Planned setpoints come first. The farther beyond them, the less of the acceleration counts, and then of the
+        velocity.
         """
         if self._known is None:
             raise ControllerError("no setpoint is known yet: call update() first")
+        time_s -= self.planned_s
+        last = self._planned[0] if self._planned else self._known
         if time_s < 0.0:
-            return self._before(self._known.cycle + time_s / self._cycle_s)
+            return self._before(last.cycle + time_s / self._cycle_s)
         moves_s = min(time_s, _STEADY_S) + _faded(max(time_s - _STEADY_S, 0.0), _VELOCITY_S)
         gains_s2 = _ACCELERATION_S * (moves_s - _faded(moves_s, _ACCELERATION_S))
-        expected: Array = self._known.q_cmd + moves_s * self.velocity + gains_s2 * self._acceleration
+        expected: Array = last.q_cmd + moves_s * self.velocity + gains_s2 * self._acceleration
         return expected
 
     def _before(self, cycle: float) -> Array:
-        """(n,) setpoint of a cycle of the past, and of parts of one; the oldest that is kept of those before it."""
-        later = self._past[0]
-        for earlier in self._past:
+        """(n,) setpoint of a cycle, planned or past, or between two; the oldest that is kept for earlier ones."""
+        known = [*self._planned, *self._past]
+        later = known[0]
+        for earlier in known:
             if earlier.cycle <= cycle:
                 share = (cycle - earlier.cycle) / max(later.cycle - earlier.cycle, 1)
                 between: Array = earlier.q_cmd + share * (later.q_cmd - earlier.q_cmd)
@@ -184,28 +201,35 @@ class Foreseen:
         self.setpoints = SetpointTracker(cycle_s)
         self._cycle_s = cycle_s
         self._later_s = lag_s(own.description.servo_lag) - lag_s(other.description.servo_lag)
-        self._ahead_s = self.age_s = 0.0
+        self._ahead_s = self.age_s = self._late_s = 0.0
+        self._usual_s = math.inf
 
     @property
     def sight(self) -> Sight:
         """How well the other robot is seen; lost before it was ever seen."""
-        if not self.setpoints.started or self.age_s > LOST_S:
+        if not self.setpoints.started or self._late_s > LOST_S:
             return Sight.LOST
-        return Sight.STALE if self.age_s > STALE_S else Sight.FRESH
+        return Sight.STALE if self._late_s > STALE_S else Sight.FRESH
 
     @property
     def velocity(self) -> Array:
         """(n,) of the other robot's setpoint when the increment takes effect [rad/s or m/s]."""
-        if self._ahead_s < 0.0:
+        if self._late_s > STALE_S:
+            return np.zeros_like(self.setpoints.velocity)
+        beyond_s = self._ahead_s - self.setpoints.planned_s
+        if beyond_s < 0.0:
             passed: Array = (self.ahead() - self.ahead(-self._cycle_s)) / self._cycle_s
             return passed
-        return math.exp(-max(self._ahead_s - _STEADY_S, 0.0) / _VELOCITY_S) * self.setpoints.velocity
+        return math.exp(-max(beyond_s - _STEADY_S, 0.0) / _VELOCITY_S) * self.setpoints.velocity
 
     def update(self, own: RobotView, other: RobotView) -> None:
         """Add a view of the cell."""
         self.setpoints.update(other)
         self.age_s = own.time_s - other.time_s
-        self._ahead_s = self.age_s + (own.ahead_cycles + 1) * self._cycle_s + self._later_s
+        self._usual_s = min(self.age_s, self._usual_s + _USUAL_RISES * self._cycle_s)
+        self._late_s = self.age_s - self._usual_s
+        expected_s = self._usual_s + min(self._late_s, STALE_S)
+        self._ahead_s = expected_s + (own.ahead_cycles + 1) * self._cycle_s + self._later_s
 
     def ahead(self, time_s: float = 0.0) -> Array:
         """(n,) setpoint of the other robot `time_s` after the own increment takes effect [rad or m]."""

@@ -160,6 +160,9 @@ class Playout(Message):
     `owed` is deferred motion: that of late increments, less the motion of the brake in empty cycles; null if there is
     none. Increments of the next cycles carry it out, so the `dq` of a verdict may include a part of it. An increment
     that is too late for that is refused as `late`.
+
+    `planned` are the increments whose turns are the next cycles, up to the first cycle without one: where the robot
+    goes if the gate admits them.
     """
 
     delay_cycles: Count
@@ -168,6 +171,7 @@ class Playout(Message):
     late: Count = 0
     empty: Count = 0
     owed: Joints | None = None
+    planned: tuple[Joints, ...] = ()
 
 
 class RobotState(Message):

@@ -22,7 +22,7 @@ from deltaq_cell.description import RobotDescription
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_travel
 from deltaq_protocol.guarded import Plan
-from deltaq_protocol.messages import Increment, Playout
+from deltaq_protocol.messages import Increment, Joints, Playout
 from deltaq_services.containment import Part
 from deltaq_services.outputs import Sender
 
@@ -205,7 +205,7 @@ class PlayoutBuffer(Part):
         self._waiting: dict[int, Asked] = {}
         self._delay_cycles = 0
         self._needed_lately: list[int] = []
-        self._answered_cycle = self._passed_on_in = -1
+        self._newest_cycle = self._answered_cycle = self._passed_on_in = -1
         self._late = self._empty = 0
         self._settled: set[int] = set()
 
@@ -234,6 +234,7 @@ class PlayoutBuffer(Part):
 
         After a longer pause than motion is carried for, all deferred motion is dropped.
         """
+        self._newest_cycle = newest_cycle
         empty = newest_cycle - self._passed_on_in - 1
         if self._passed_on_in < 0 or not 0 <= empty <= MOST_CARRIED_CYCLES:
             self.carried.forget()
@@ -278,6 +279,11 @@ class PlayoutBuffer(Part):
 
     def told(self) -> Playout:
         """The report for clients: before `turn`, the increments in the setpoint of the newest state."""
+        planned: list[Joints] = []
+        while (
+            asked := self._waiting.get(self._newest_cycle - self._delay_cycles + len(planned))
+        ) is not None:
+            planned.append(asked.increment.dq)
         return Playout(
             delay_cycles=self._delay_cycles,
             waiting=len(self._waiting),
@@ -285,6 +291,7 @@ class PlayoutBuffer(Part):
             late=self._late,
             empty=self._empty,
             owed=self.carried.owed,
+            planned=tuple(planned),
         )
 
     def _left(self, asked: Asked, newest_cycle: int) -> Left:
