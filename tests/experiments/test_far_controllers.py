@@ -56,9 +56,9 @@ def test_a_remote_controller_follows_despite_late_and_lost_packets(
         assert figures(capsys, *link) == told
 
 
-def test_the_page_states_bounds_of_four_links() -> None:
+def test_the_page_states_bounds_of_five_links() -> None:
     assert [bound.link.split()[:2] for bound in BOUNDS] == [
-        ["--delay-s", delay_s] for delay_s in ("0.03", "0.03", "0.075", "0.25")
+        ["--delay-s", delay_s] for delay_s in ("0.03", "0.03", "0.06", "0.075", "0.25")
     ]
 
 
