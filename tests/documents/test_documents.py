@@ -12,8 +12,9 @@ from typing import Any
 import pytest
 import typer
 from packaging.specifiers import SpecifierSet
+from typer.testing import CliRunner
 
-from deltaq_deploy.command.app import app
+from deltaq_deploy.command.app import RENAMED, app
 from reference_pages import FOLDER, PAGES, page
 
 ROOT = Path(__file__).parents[2]
@@ -98,8 +99,15 @@ def test_each_help_text_ends_with_two_valid_commands(name: str, command: Any) ->
         understand(shlex.split(typed))
 
 
-def test_there_are_at_most_27_verbs() -> None:
+def test_there_are_at_most_27_verbs_and_former_verbs_name_the_present_ones() -> None:
     assert len(COMMAND.commands) <= 27
+    for former, present in RENAMED.items():
+        typed = CliRunner().invoke(app, [*former.split(), "--json"])
+        assert (typed.exit_code, typed.stderr) == (
+            2,
+            f"deltaq: `deltaq {former}` is now `deltaq {present}`\n",
+        )
+        assert present.split()[0] in COMMAND.commands
 
 
 @pytest.mark.long

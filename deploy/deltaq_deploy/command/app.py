@@ -28,10 +28,29 @@ from deltaq_deploy.command import (
     watch,
 )
 from deltaq_deploy.command.krc_lag import lag
+from deltaq_deploy.launch import USAGE
+
+RENAMED = {
+    "top": "status --watch",
+    "health": "status --service",
+    "echo": "topic echo",
+    "hz": "topic hz",
+    "record": "recording record",
+    "replay": "recording replay",
+    "plot": "recording plot",
+    "report": "recording report",
+    "follow": "camera follow",
+    "view": "camera view",
+    "key": "keys --secret",
+    "soak": "bench soak",
+    "peg-and-valve": "experiment peg-and-valve",
+    "bench advisor": "advise --offline",
+}
+"""Former verbs, and the present ones."""
 
 
 class Verbs(TyperGroup):
-    """typer's group. It also names an option's invalid value."""
+    """typer's group. It also names the new verb for a former one, and an option's invalid value."""
 
     def invoke(self, ctx: Any) -> Any:  # typer keeps the class of its contexts to itself
         """Run a verb.
@@ -49,6 +68,18 @@ class Verbs(TyperGroup):
                 first, *_ = error.__cause__.errors()
                 error.message = f"{error.message}, got {first['input']!r}"
             raise
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the requested verb.
+
+        Raises:
+            typer.Exit: the verb has another name now; standard error shows it.
+        """
+        asked = " ".join(([] if ctx.parent is None else [ctx.info_name]) + args[:1])
+        if args and args[0] not in self.commands and (present := RENAMED.get(asked)):
+            typer.echo(f"deltaq: `deltaq {asked}` is now `deltaq {present}`", err=True)
+            raise typer.Exit(USAGE)
+        return super().resolve_command(ctx, args)
 
 
 class Verb(NamedTuple):
