@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from deltaq_cell.description import CellDescription, RobotDescription, RsiDescription
@@ -48,6 +48,7 @@ class DescriptionCheck:
         yield from self._guarded_realm()
         yield from self._open_realm()
         yield from self._timing()
+        yield from self._equipment()
 
     def of_robot(self, name: str, robot: RobotDescription) -> Iterator[Problem]:
         """Problems of a robot's description."""
@@ -127,6 +128,21 @@ class DescriptionCheck:
             if value < least:
                 message = f"{value:g} s is less than two cycles; allow at least {least:g} s"
                 yield self._at(("gate", name), message, value, least)
+
+    def _equipment(self) -> Iterator[Problem]:
+        """Bodies, robot and contact that an item of equipment names exist."""
+        cell = self._cell
+        for name, item in cell.equipment.items():
+            named: list[tuple[FieldPath, str | None, Collection[str]]] = [
+                (("bodies", index), body, cell.structure) for index, body in enumerate(item.bodies)
+            ]
+            named += [(("robot",), item.robot, cell.robots), (("contact",), item.contact, cell.contacts)]
+            for field, given, known in named:
+                if given is not None and given not in known:
+                    allowed, near = ", ".join(known) or "none", nearest_name(given, known)
+                    what = {"bodies": "body of the structure"}.get(str(field[0]), str(field[0]))
+                    message = f"no {what} is named '{given}'" + (f"; did you mean '{near}'?" if near else "")
+                    yield self._at(("equipment", name, *field), message, given, allowed, near)
 
     def _references(self, name: str, robot: RobotDescription) -> Iterator[Problem]:
         """Bodies and files that a robot names exist."""

@@ -1,7 +1,8 @@
 """The hash of a cell's description: of its content, not of the bytes of its file.
 
 A comment, the order of fields, `10` or `10.0`, and whether it extends another cell change nothing. Addresses and
-paths of files may differ between hosts and are left out; the content of a robot's model files is hashed.
+paths of files may differ between hosts and are left out, and so is equipment, which decides nothing; the content of
+a robot's model files is hashed.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ _PLACES = {
     "console_port",
     "clients_need_tokens",
     "anyone_who_connects_may_move_the_robots",
+    "equipment",
 }
 _PLACES_OF_ROBOT = {"server", "model"}
 _PLACES_OF_DRIVER = {"address", "port", "control_port", "krc_address", "ethernet_xml"}

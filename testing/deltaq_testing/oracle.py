@@ -280,6 +280,12 @@ class ClearanceOracle:
         self._distances.place(configurations)
         return self._distances.least(self._all[self._numbers[frozenset(pair)], None])[0]
 
+    def levels_m(self, may_touch: Iterable[tuple[str, str]]) -> Array:
+        """(pairs,) stop distances for `least_room_m`; pairs that may touch, by the names of their bodies, have none."""
+        levels = self.stop_distances_m.copy()
+        levels[[self._numbers[frozenset(pair)] for pair in may_touch]] = -np.inf
+        return levels
+
     def least_room_m(self, configurations: Mapping[str, Array], levels_m: Array) -> float:
         """Least distance beyond its level, over all pairs; infinite without pairs.
 

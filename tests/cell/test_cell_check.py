@@ -77,6 +77,17 @@ UNSOUND = [
      "less than two cycles"),
     ([("fr_ethernet.xml", "none.xml")], "robots.fr.driver.ethernet_xml", "none.xml", "none.xml", None, None,
      "no file 'none.xml'"),
+    ([("bodies: [wheel_1, valve_1]", "bodies: [weel_1, valve_1]")], "equipment.valve_1.bodies.0", "bodies", "weel_1",
+     None, "wheel_1", "no body of the structure is named 'weel_1'"),
+    ([("turns: 2, contact: gripper_on_valves", "turns: 2, contact: gripper_on_valve")], "equipment.valve_1.contact",
+     "contact", "gripper_on_valve", None, "gripper_on_valves", "no contact is named"),
+    ([("{kind: gauge, bodies: [pipe_4]", "{kind: gauge, robot: grr, bodies: [pipe_4]")], "equipment.gauge_1.robot",
+     "gauge_1", "grr", None, "gr", "no robot is named"),
+    ([("kind: lever", "kind: leaver")], "equipment.lever_1.kind", "leaver", "leaver", None, "lever", "must be one of"),
+    ([("axis: [0, 1, 0], ", "")], "equipment.valve_1", "valve_1:", None, None, None, "a valve needs axis, such as"),
+    ([("axis: [0, 1, 0]", "axis: [0, 0, 0]")], "equipment.valve_1", "valve_1:", None, None, None,
+     "axis is no direction"),
+    ([("reach_m: 0.14", "reach_m: .nan")], "equipment.valve_3.reach_m", "reach_m", "nan", None, None, "finite"),
 ]  # fmt: skip
 
 

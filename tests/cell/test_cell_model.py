@@ -51,9 +51,10 @@ def test_every_change_of_meaning_changes_the_hash(tmp_path: Path, changes: str) 
         "hli: tcp/127.0.0.1:9999\nsim: tcp/127.0.0.1:9998\ntcp_port: 9997",
         "robots: {fr: {server: tcp/127.0.0.1:9996, driver: {port: 9995, control_port: 9994}}}",
         f"cycle_s: {load_cell('lab').cycle_s!r}0",
+        "equipment: {gauge_1: null, gauge_3: {kind: gauge, bodies: [pipe_1]}}",
     ],
 )
-def test_addresses_and_formatting_do_not_change_the_hash(tmp_path: Path, changes: str) -> None:
+def test_addresses_formatting_and_equipment_do_not_change_the_hash(tmp_path: Path, changes: str) -> None:
     assert LAB.is_same(_changed(tmp_path, changes))
 
 

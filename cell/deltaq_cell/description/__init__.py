@@ -27,6 +27,7 @@ from deltaq_cell.description.bodies import (
     Tool,
 )
 from deltaq_cell.description.cell import MOST_ROBOTS, CellDescription, ContactDescription, GateDescription
+from deltaq_cell.description.equipment import EquipmentDescription, EquipmentKind
 from deltaq_cell.description.robot import (
     DriverDescription,
     JointDescription,
@@ -52,6 +53,8 @@ __all__ = [
     "DescriptionModel",
     "DriverDescription",
     "EndpointText",
+    "EquipmentDescription",
+    "EquipmentKind",
     "GateDescription",
     "GuardedEndpointText",
     "Hand",

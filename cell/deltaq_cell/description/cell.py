@@ -15,6 +15,7 @@ from deltaq_cell.description.bodies import (
     NotNegative,
     Positive,
 )
+from deltaq_cell.description.equipment import EquipmentDescription
 from deltaq_cell.description.robot import RobotDescription
 from deltaq_protocol.messages import Name
 
@@ -103,6 +104,8 @@ class CellDescription(DescriptionModel):
     gate: GateDescription = GateDescription()
     contacts: dict[Name, ContactDescription] = {}
     """Contacts that an operator may allow; none is allowed at the start."""
+    equipment: dict[Name, EquipmentDescription] = {}
+    """Valves, gauges and the like that routines work on."""
     hli: EndpointText = "tcp/127.0.0.1:7447"
     """Where the HLI serves zenoh clients; with `tcp+udp` streams go over UDP, for networks that lose packets; with
     `tls` it is encrypted, and only clients with an identity of the cell can connect."""

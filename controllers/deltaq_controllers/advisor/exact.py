@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Protocol
 
 import coal
@@ -29,15 +30,24 @@ class ExactClearance:
         cell: model of the cell.
         robot: name of the robot.
         others: (n,) configuration of each other robot; at home if not given.
+        left_out: pairs of names of bodies that may touch.
     """
 
-    def __init__(self, cell: CellModel, robot: str, others: Mapping[str, Array] | None = None) -> None:
+    def __init__(
+        self,
+        cell: CellModel,
+        robot: str,
+        others: Mapping[str, Array] | None = None,
+        left_out: Iterable[tuple[str, str]] = (),
+    ) -> None:
         self._proximity = ProximityEngine(cell)
+        self._proximity.leave_out(left_out)
         self._robot = robot
         self._groups = list(self._proximity.alone[robot])
         for name in cell.robots:
             if name != robot:
                 self._groups += self._proximity.between[robot, name]
+        self._groups = [group for group in self._groups if not group.is_empty]
         self._kept = _KeptDistances(cell, robot, self._groups)
         self.place({name: model.home for name, model in cell.robots.items()} | dict(others or {}))
 
@@ -76,7 +86,7 @@ class _KeptDistances:
         self._robot = robot
         self._geometry, numbers = pin.GeometryModel(), {}
         for group in groups:
-            for pair in group.pairs:
+            for pair in itertools.compress(group.pairs, group.active):
                 for body in pair:
                     if body.name not in numbers:
                         own = pin.GeometryObject(
@@ -89,7 +99,9 @@ class _KeptDistances:
         pairs = [(int(pair.first), int(pair.second)) for pair in self._geometry.collisionPairs]
         self._screen = Screen.of(list(self._geometry.geometryObjects), pairs)
         self._placements = placement_views(self._data)
-        self._stop_m = np.array([group.stop_distance_m for group in groups for _ in group.pairs])
+        self._stop_m = np.array(
+            [group.stop_distance_m for group in groups for _ in range(group.active.sum())]
+        )
         self._room_m = np.nan
         with warnings.catch_warnings():
             # as `deltaq_cell.group.make_reproducible` says

@@ -104,6 +104,7 @@ class AdvisorMode(SteppedMode):
         robot: the robot.
         cycle_s: its cycle [s].
         advisor: answers in its own time.
+        pace: share of the path's own speed at which it is driven.
 
     Attributes:
         trade_off: names of the two criteria whose front is asked for; None: minima of the energy.
@@ -113,9 +114,9 @@ class AdvisorMode(SteppedMode):
     name = DrivingMode.ADVISOR
     drives_hands = False
 
-    def __init__(self, robot: RobotModel, cycle_s: float, advisor: Advisor) -> None:
+    def __init__(self, robot: RobotModel, cycle_s: float, advisor: Advisor, pace: float = 1.0) -> None:
         super().__init__(robot)
-        self._cycle_s, self._advisor = cycle_s, advisor
+        self._cycle_s, self._advisor, self._pace = cycle_s, advisor, pace
         self._hands = Hands(robot)
         self.drives_joints = np.zeros(robot.n, dtype=np.bool_)
         self._wanted: int | None = None
@@ -241,7 +242,7 @@ class AdvisorMode(SteppedMode):
         """The displacement along the path."""
         if self._route is None or motion.along == 0.0:
             return np.zeros_like(q)
-        return self._route.step(q, motion.along * time_s / self._cycle_s)
+        return self._route.step(q, self._pace * motion.along * time_s / self._cycle_s)
 
     def limitation(self, _q: Array, _motion: Motion) -> Limitation | None:
         """Why the chosen option cannot be driven to."""

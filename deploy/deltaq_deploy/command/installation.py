@@ -117,14 +117,17 @@ def check(
     from deltaq_cell.check import check_cell
     from deltaq_deploy.command.console import print_json
 
-    report = _with_identity(check_cell(cell))
+    report, equipment = _with_equipment(_with_identity(check_cell(cell)))
     if json:
-        print_json(report.as_dict())
+        print_json(report.as_dict() | {"equipment": equipment})
     else:
         for problem in report.problems:
             typer.echo(f"{problem.severity}: {problem}")
         if not report.problems:
             typer.echo(f"{cell}: good")
+        if equipment:
+            kinds = ", ".join(f"{name} ({kind})" for name, kind in equipment.items())
+            typer.echo(f"equipment, see `deltaq routine list`: {kinds}")
         if verbose:
             _show_never_checked(report)
     if not report.ok:
@@ -162,6 +165,28 @@ def _with_identity(report: CheckReport) -> CheckReport:
     faults = identity_faults(load_cell(report.cell), Path(named))
     found = [Problem(IDENTITY, 0, "", text, severity=severity) for severity, text in faults]
     return replace(report, problems=(*report.problems, *found))
+
+
+def _with_equipment(report: CheckReport) -> tuple[CheckReport, dict[str, str]]:
+    """The same findings, with the equipment that its robot cannot work on; and the kind of each item by name."""
+    from dataclasses import replace
+
+    from deltaq_cell.cell_model import CellModel
+    from deltaq_cell.load import load_located
+    from deltaq_cell.yaml_tree import PlacedProblems
+
+    if not report.ok:
+        return report, {}
+    description, tree = load_located(report.cell)
+    kinds = {name: item.kind for name, item in description.equipment.items()}
+    if not kinds:
+        return report, {}
+    from deltaq_controllers.routines.planner import unreachable
+
+    placed = PlacedProblems(tree)
+    found = unreachable(CellModel.load(report.cell))
+    faults = [placed.at(("equipment", name, "approach"), why) for name, why in found.items()]
+    return replace(report, problems=(*report.problems, *faults)), dict(kinds)
 
 
 def schema(

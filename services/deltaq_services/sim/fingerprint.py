@@ -39,6 +39,7 @@ _ELSEWHERE = {
     "lease_s",
     "clients_need_tokens",
     "anyone_who_connects_may_move_the_robots",
+    "equipment",
 }
 _ELSEWHERE_OF_ROBOT = {"server", "driver", "servo_lag", "camera", "model"}
 

@@ -267,11 +267,17 @@ class VirtualCell:
 
     def stop(self) -> list[Message]:
         """Press stop; returns the list to which the answer will be appended."""
-        return self._asked(StopRequest())
+        return self.request(StopRequest())
 
     def reset(self, robot: str) -> list[Message]:
         """Ask for a reset; returns the list to which the answer will be appended."""
-        return self._asked(ResetRequest(robot=robot))
+        return self.request(ResetRequest(robot=robot))
+
+    def request(self, request: Message) -> list[Message]:
+        """Send a request of nobody's lease; returns the list to which the answer will be appended."""
+        answers: list[Message] = []
+        self._to_hli(request, ClientPort(answers.append))
+        return answers
 
     def status(self) -> Status:
         """The cell as the HLI shows it."""
@@ -318,11 +324,6 @@ class VirtualCell:
 
     def _to_hli(self, said: Message | InvalidMessageError, sender: Sender | None) -> None:
         self._hli.do(lambda: self.carry_out(self.hli.take(said, self._hli_s, sender)))
-
-    def _asked(self, request: Message) -> list[Message]:
-        answers: list[Message] = []
-        self._to_hli(request, ClientPort(answers.append))
-        return answers
 
     def _pump(self) -> None:
         for arm in self.arms.values():
