@@ -34,6 +34,7 @@ class BoxedArm(NamedTuple):
         pairs: (p, 2) sphere and body that are to be kept apart.
         none_wanted: (bodies,) False: of the gate's kernel only the placing of joints is wanted, and of no body.
         no_width: (n,) zeros: it places one configuration in place of a box of them [rad or m].
+        reach: (bodies,) from the centre of each box to its corners [m].
     """
 
     anatomy: Anatomy
@@ -43,6 +44,7 @@ class BoxedArm(NamedTuple):
     pairs: Indices
     none_wanted: Flags
     no_width: Array
+    reach: Array
 
 
 @makes_no_array
@@ -66,14 +68,15 @@ def place_boxes(arm: BoxedArm, placed: Placed, q: Array) -> None:
 
 @inlined
 def gap(
-    anatomy: Anatomy, placed: Placed, body: int, x: float, y: float, z: float, radius: float, least: float
+    arm: BoxedArm, placed: Placed, body: int, x: float, y: float, z: float, radius: float, least: float
 ) -> float:
     """Distance of a sphere at (x, y, z) from a body's box, negative inside; `least` if it is no less [m]."""
-    half, centre, edges = anatomy.half_edges[body], placed.box_centre[body], placed.edges[body]
+    centre = placed.box_centre[body]
     x, y, z = x - centre[0], y - centre[1], z - centre[2]
-    reach = least + radius + math.sqrt(half[0] * half[0] + half[1] * half[1] + half[2] * half[2])
+    reach = least + radius + arm.reach[body]
     if reach < 0.0 or x * x + y * y + z * z > reach * reach:
         return least
+    half, edges = arm.anatomy.half_edges[body], placed.edges[body]
     square, deepest = 0.0, -math.inf
     for k in range(3):
         beyond = abs(edges[k, 0] * x + edges[k, 1] * y + edges[k, 2] * z) - half[k]
@@ -90,7 +93,7 @@ def gaps(arm: BoxedArm, placed: Placed) -> Array:
     for pair in range(len(arm.pairs)):
         ball, body = arm.pairs[pair]
         at = _ball_at(arm, placed, ball)
-        distances[pair] = gap(arm.anatomy, placed, body, at[0], at[1], at[2], arm.balls.radii[ball], math.inf)
+        distances[pair] = gap(arm, placed, body, at[0], at[1], at[2], arm.balls.radii[ball], math.inf)
     return distances
 
 
@@ -102,7 +105,7 @@ def least_gap(arm: BoxedArm, placed: Placed, least: float) -> float:
         ball, body = arm.pairs[pair]
         if ball != last:
             last, at = ball, _ball_at(arm, placed, ball)
-        least = gap(arm.anatomy, placed, body, at[0], at[1], at[2], arm.balls.radii[ball], least)
+        least = gap(arm, placed, body, at[0], at[1], at[2], arm.balls.radii[ball], least)
     return least
 
 
@@ -121,10 +124,10 @@ def clearance(
         shift: their displacement [m].
         least: distance beyond which no exact value is needed [m].
     """
-    for body in bodies:
-        for ball in range(len(radii)):
-            x, y, z = centres[ball, 0] + shift[0], centres[ball, 1] + shift[1], centres[ball, 2] + shift[2]
-            least = gap(arm.anatomy, placed, body, x, y, z, radii[ball], least)
+    for ball in range(len(radii)):
+        x, y, z = centres[ball, 0] + shift[0], centres[ball, 1] + shift[1], centres[ball, 2] + shift[2]
+        for body in bodies:
+            least = gap(arm, placed, body, x, y, z, radii[ball], least)
     return least
 
 
@@ -219,7 +222,8 @@ def _boxed(scene: Scene, leads: Array) -> BoxedArm:
     every = np.array([(ball, body) for ball in range(len(balls.radii)) for body in range(len(anatomy.robot))])
     none_wanted = np.zeros(len(anatomy.robot), dtype=np.bool_)
     inner = own[anatomy.carrier[own] <= 0]
-    boxed = BoxedArm(anatomy, own, inner, balls, every, none_wanted, np.zeros(robot.n))
+    reach = np.linalg.norm(anatomy.half_edges, axis=1)
+    boxed = BoxedArm(anatomy, own, inner, balls, every, none_wanted, np.zeros(robot.n), reach)
     return boxed._replace(pairs=every[_matter(robot, anatomy, boxed)])
 
 
