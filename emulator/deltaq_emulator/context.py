@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 import re
-import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import reduce
@@ -24,13 +23,15 @@ import numpy as np
 
 from deltaq_emulator.corrections import CorrectionLimits
 from deltaq_emulator.settings import CorrectionMode, KrcSettings, SettingsError
-from deltaq_protocol.rsi import AxisMap
+from deltaq_protocol.rsi import AxisMap, EthernetConfigError
 from deltaq_protocol.rsi.axes import ARM_AXES, EXTERNAL_AXES
+from deltaq_protocol.rsi.judge_program import parse_context
+from deltaq_protocol.xml_text import xml_text
 
 MAKERS_LIMIT, MAKERS_MONITOR = 5.0, 6.0
 """Limit of an axis that the file does not mention [deg or mm]."""
 
-_CORRECTED_BY = {"axiscorr": ARM_AXES, "axiscorrext": EXTERNAL_AXES}
+_CORRECTED_BY = {"AXISCORR": ARM_AXES, "AXISCORREXT": EXTERNAL_AXES}
 _RSI2_AXES = (*ARM_AXES, *EXTERNAL_AXES)
 _RSI2_MODE, _RSI2_LOWER, _RSI2_UPPER = 1, 2, 14
 """Parameters of RSI 2's ST_AXISCORR: 0 for absolute or 1 for relative; the first of twelve lower limits, of twelve
@@ -133,24 +134,21 @@ def parse_context_xml(data: bytes, source: str) -> Context:
         SettingsError: if it is not a context, or a value in it is not allowed.
     """
     try:
-        root = ET.fromstring(data)
-    except (ET.ParseError, ValueError) as error:
+        context = parse_context(xml_text(data), source)
+    except EthernetConfigError as error:
+        raise SettingsError(str(error)) from error
+    except ValueError as error:
         raise SettingsError(f"{source}: is no XML document: {error}") from error
     objects: dict[str, dict[str, str]] = {}
-    for node in root.iter():
-        # RSI 3 writes RSIObject and AXISCORR, RSI 4 and later RsiObject, in a namespace, and AxisCorr
-        if _local(node) == "rsiobject":
-            parameters = objects.setdefault(node.get("ObjType", "").lower(), {})
-            for child in node.iter():
-                if _local(child) == "parameter":
-                    parameters[child.get("Name", "")] = child.get("ParamValue", "")
+    for thing in context.objects:
+        objects.setdefault(thing.kind, {}).update(thing.parameters)
     if not objects:
         raise SettingsError(
             f"{source}: has no RSIObject; give the context (.rsi.xml or .rsix) or a program (.src)"
         )
 
     def number(kind: str, name: str) -> float:
-        return _number(f"{source}: {kind.upper()}: {name}", objects[kind][name])
+        return _number(f"{source}: {kind}: {name}", objects[kind][name])
 
     def table(kinds: Mapping[str, tuple[str, ...]], prefix: str) -> dict[str, float]:
         return {
@@ -161,9 +159,9 @@ def parse_context_xml(data: bytes, source: str) -> Context:
         }
 
     def count(name: str, lowest: int, highest: int) -> int | None:
-        if name not in objects.get("ethernet", {}):
+        if name not in objects.get("ETHERNET", {}):
             return None
-        value = number("ethernet", name)
+        value = number("ETHERNET", name)
         if value != int(value) or not lowest <= value <= highest:
             raise SettingsError(
                 f"{source}: ETHERNET: {name} is {value:g}, allowed is {lowest} to {highest}, whole numbers"
@@ -173,7 +171,7 @@ def parse_context_xml(data: bytes, source: str) -> Context:
     corrected = frozenset(axis for kind, axes in _CORRECTED_BY.items() if kind in objects for axis in axes)
     lower, upper = table(_CORRECTED_BY, "LowerLim"), table(_CORRECTED_BY, "UpperLim")
     _check(source, lower, upper)
-    monitor = table({"axiscorrmon": _RSI2_AXES}, "Max")
+    monitor = table({"AXISCORRMON": _RSI2_AXES}, "Max")
     return Context(corrected, lower, upper, monitor, count("Timeout", 0, 2**31 - 1), count("Precision", 1, 9))
 
 
@@ -205,10 +203,6 @@ def parse_program(text: str, source: str) -> Context:
     _check(source, lower, upper)
     corrected = frozenset(_RSI2_AXES) if handles else frozenset()
     return Context(corrected, lower, upper, {}, correction=correction)
-
-
-def _local(node: ET.Element) -> str:
-    return node.tag.rpartition("}")[2].lower()
 
 
 def _number(where: str, text: str) -> float:

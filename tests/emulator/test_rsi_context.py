@@ -156,7 +156,7 @@ def test_a_context_that_cannot_be_used_is_refused_with_the_place(old: str, new: 
 def test_missing_files_and_other_formats_are_refused(tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match=r"none\.rsi\.xml: cannot be read"):
         read_context([tmp_path / "none.rsi.xml"])
-    with pytest.raises(SettingsError, match="has no RSIObject"):
+    with pytest.raises(SettingsError, match="the outermost element is <ROOT>"):
         parse_context_xml(b"<ROOT/>", "fr_ethernet.xml")
     with pytest.raises(SettingsError, match=r"fr\.src:3: ST_SETPARAM of hAxis is 'lower\[i\]'"):
         parse_program("DEF x()\nST_AXISCORR(hAxis, 0)\nST_SETPARAM(hAxis, 2, lower[i])\nEND", "fr.src")
