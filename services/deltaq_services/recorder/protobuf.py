@@ -50,10 +50,6 @@ class _Type:
     shape: Literal["one", "list", "rows", "map"]
     optional: bool
 
-    @property
-    def scalar(self) -> bool:
-        return self.kind in _SCALARS
-
 
 class ProtobufSchema:
     """Descriptors of some models and of all that they contain.
@@ -84,9 +80,7 @@ class ProtobufSchema:
 
     def encode(self, message: Message) -> Any:
         """The message as a protobuf message."""
-        target = self.classes[type(message)]()
-        _fill(target, message)
-        return target
+        return self.classes[type(message)](**_fields_of(message))
 
 
 def to_message(message_type: type[M], source: Any) -> M:
@@ -196,38 +190,30 @@ def _numbers(kind: type[StrEnum]) -> dict[StrEnum, int]:
     return {member: number for number, member in enumerate(kind, start=1)}
 
 
-def _fill(target: Any, message: Message) -> None:
-    for name, field_type in _fields(type(message)):
-        value = getattr(message, name)
-        if value is None:
-            continue
-        kind = field_type.kind
-        if field_type.shape == "one":
-            if field_type.scalar:
-                setattr(target, name, value)
-            elif issubclass(kind, StrEnum):
-                setattr(target, name, _numbers(kind)[kind(value)])
-            else:
-                inner = getattr(target, name)
-                inner.SetInParent()
-                _fill(inner, value)
-        elif field_type.shape == "rows":
-            for row in value:
-                getattr(target, name).add().values.extend(row)
-        elif field_type.shape == "map":
-            entries = getattr(target, name)
-            for key, item in value.items():
-                if field_type.scalar:
-                    entries[key] = item
-                else:
-                    _fill(entries[key], item)
-        elif field_type.scalar:
-            getattr(target, name).extend(value)
-        elif issubclass(kind, StrEnum):
-            getattr(target, name).extend(_numbers(kind)[item] for item in value)
-        else:
-            for item in value:
-                _fill(getattr(target, name).add(), item)
+def _fields_of(message: Message) -> dict[str, Any]:
+    """The message's fields, as the constructor of its protobuf class takes them."""
+    return {
+        name: _shaped(value, field_type)
+        for name, field_type in _fields(type(message))
+        if (value := getattr(message, name)) is not None
+    }
+
+
+def _shaped(value: Any, field_type: _Type) -> Any:
+    kind, shape = field_type.kind, field_type.shape
+    if shape == "rows":
+        return [{"values": row} for row in value]
+    if shape == "map":
+        return {key: _plain(item, kind) for key, item in value.items()}
+    if shape == "list" and kind not in _SCALARS:
+        return [_plain(item, kind) for item in value]
+    return _plain(value, kind)
+
+
+def _plain(value: Any, kind: type) -> Any:
+    if kind in _SCALARS:
+        return value
+    return _numbers(kind)[kind(value)] if issubclass(kind, StrEnum) else _fields_of(value)
 
 
 def _map_of(source: Any, model: type[Message]) -> dict[str, Any]:
