@@ -165,9 +165,7 @@ def test_refusals_are_logged_in_a_line_and_a_taken_lease_ends_a_trajectory(
         while "MS" not in peer.token()[0]:
             pass
         peer.say(COMMANDS, b"\x00\x01\x00\x00\xff")
-        assert running.until("refused").endswith(
-            "header.stamp.sec is cut off after 5 bytes, allowed is a whole field"
-        )
+        assert "message is malformed (Could not deserialize" in running.until("refused")
         peer.command(COMMANDS, JOINTS[:5], (1.0, [0.1] * 5))
         assert "joint_names is without a6" in running.until("refused")
         with connect(hli, "other") as cell, cell.lease("fr"):

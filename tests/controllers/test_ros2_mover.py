@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ros_points import ATTACHMENT, encoded, point, trajectory
+from ros_types import ATTACHMENT, encoded, point, trajectory
 from small_cell import small_cell, tool_pose
 
 from deltaq_cell.cell_model import robot_summary
 from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.limits import IncrementLimits
-from deltaq_controllers.ros2.messages import Header, JointTrajectory, RefusedMessageError, RosTime
+from deltaq_controllers.ros2.messages import RefusedMessageError
 from deltaq_controllers.ros2.mover import SHARE, RateProfile, TrajectoryFollower, TrajectoryMover
 from deltaq_controllers.ros2.trajectory import Path, path_from, read_trajectory
 from deltaq_protocol.arrays import Array
@@ -48,7 +47,7 @@ class Driven:
         self.cell.drive(self._increment)
 
     def hear(self, *points: Any) -> None:
-        message = trajectory(self.summary.joints, *points) if points else JointTrajectory()
+        message = trajectory(self.summary.joints if points else (), *points)
         self.mover.hear(encoded(message), ATTACHMENT, 0)
 
     def _note(self, message: Any) -> None:
@@ -203,7 +202,7 @@ def test_a_trajectory_that_begins_elsewhere_is_refused_and_moves_nothing(lab: An
     driven = Driven(lab)
     driven.hear(point(0, driven.home + 0.1), point(1, driven.home))
     driven.mover.hear(b"\x00\x01\x00\x00", ATTACHMENT, 0)
-    driven.mover.hear(encoded(JointTrajectory()), None, 0)
+    driven.mover.hear(encoded(trajectory(())), None, 0)
     driven.cell.run(0.2)
     assert driven.mover.counters == {
         "trajectories": 1, "refused": 3, "refused_malformed": 1, "refused_attachment": 1, "refused_start": 1,
@@ -319,10 +318,10 @@ def read(message, robot=ARM):
         (trajectory(A, point(1, q(NAN))), "points[0].positions[0] is nan, allowed is a finite number"),
         (trajectory(A, point(1, q(), q(INF))), "points[0].velocities[0] is inf, allowed is a finite number"),
         (
-            trajectory(A, replace(point(1, q()), accelerations=q(-INF))),
+            trajectory(A, point(1, q(), (), q(-INF))),
             "points[0].accelerations[0] is -inf, allowed is a finite number",
         ),
-        (trajectory(A, replace(point(1, q()), effort=(1.0,))), "points[0].effort is of length 1, allowed is 6"),
+        (trajectory(A, point(1, q(), effort=(1.0,))), "points[0].effort is of length 1, allowed is 6"),
         (trajectory(A, point(-1, q())), "points[0].time_from_start is -1 s, allowed is 0 to 600 s"),
         (trajectory(A, point(600.5, q())), "points[0].time_from_start is 600.5 s, allowed is 0 to 600 s"),
         (
@@ -339,10 +338,12 @@ def read(message, robot=ARM):
             "points[0].velocities, a1, is 0.5 rad/s, allowed is rest at the end, 0.0015708 rad/s or less",
         ),
         (
-            trajectory(A, point(1, q()), header=Header(RosTime(1_700_000_006))),
+            trajectory(A, point(1, q()), stamp=(1_700_000_006, 0)),
             "header.stamp is +6.000 s from now, allowed is 0, or within 5 s of now",
         ),
-        (trajectory(A, point(1, q()), header=Header(RosTime(12))), "header.stamp is -1699999988.000 s from now"),
+        (trajectory(A, point(1, q()), stamp=(12, 0)), "header.stamp is -1699999988.000 s from now"),
+        (trajectory(A, point(1, q()), stamp=(0, 10**9)), "header.stamp.nanosec is 1000000000, allowed is less than"),
+        (trajectory(["a" * 300], point(1, q())), f"joint_names[0] is {'a' * 256!r}, allowed is a1, a2,"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )  # fmt: skip

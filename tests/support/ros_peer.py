@@ -1,6 +1,6 @@
 """A peer of rmw_zenoh's, written from its design document: a router, and what a ROS program says and hears there.
 
-It shares nothing with the bridge: keys and tokens are spelled out, and another library makes and reads the messages.
+Keys and tokens are spelled out: it shares nothing with the bridge but the library of messages.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import struct
 from typing import Any
 
 import zenoh
-from ros_types import JOINT_STATE, Floats, deserialized, joint_trajectory
+from ros_types import JOINT_STATE, STORE, Floats, encoded, point, trajectory
 
 STATE_TYPE = (
     "sensor_msgs::msg::dds_::JointState_/"
@@ -68,15 +68,16 @@ class RosPeer:
         def hear(sample: zenoh.Sample) -> None:
             sequence, time_ns, size, gid = struct.unpack("<qqB16s", sample.attachment.to_bytes())
             assert size == 16
-            heard.put((deserialized(JOINT_STATE, sample.payload.to_bytes()), (sequence, time_ns, gid)))
+            heard.put(
+                (STORE.deserialize_cdr(sample.payload.to_bytes(), JOINT_STATE), (sequence, time_ns, gid))
+            )
 
         self.session.declare_subscriber(f"{self._domain_id}{topic}/{STATE_TYPE}", hear)
         return heard
 
     def command(self, topic: str, joints: tuple[str, ...], *points: tuple[float, Floats]) -> None:
         """Publish a trajectory of positions [rad or m] at times [s]."""
-        made = [(q, (), (), (), (int(t), round(t % 1 * 1e9))) for t, q in points]
-        self.say(topic, joint_trajectory(joints, made))
+        self.say(topic, encoded(trajectory(joints, *(point(*one) for one in points))))
 
     def say(self, topic: str, message: bytes) -> None:
         """Publish bytes as a trajectory."""

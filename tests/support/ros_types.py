@@ -1,52 +1,38 @@
-"""ROS messages as another library has them: the bytes that the bridge's are compared with."""
+"""ROS messages for tests, written and read with all that ROS knows of them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
+from deltaq_controllers.ros2.rmw import RosAttachment
+
 STORE = get_typestore(Stores.ROS2_JAZZY)
 JOINT_STATE = "sensor_msgs/msg/JointState"
 JOINT_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+ATTACHMENT = RosAttachment(1, 0, bytes(16)).encode()
 
-Floats = Sequence[float]
-Point = tuple[Floats, Floats, Floats, Floats, tuple[int, int]]
-"""Positions, velocities, accelerations, effort, and `time_from_start` in s and ns."""
+Floats = Iterable[float]
 
 
-def serialized(kind: str, message: Any) -> bytes:
+def point(
+    time_s: float, positions: Floats, velocities: Floats = (), accelerations: Floats = (), effort: Floats = ()
+) -> Any:
+    """A point; positions [rad or m], velocities [rad/s or m/s], accelerations [rad/s^2 or m/s^2]."""
+    rows = (np.array([*row], dtype=np.float64) for row in (positions, velocities, accelerations, effort))
+    duration = STORE.types["builtin_interfaces/msg/Duration"](*divmod(round(time_s * 1e9), 10**9))
+    return STORE.types["trajectory_msgs/msg/JointTrajectoryPoint"](*rows, duration)
+
+
+def trajectory(joints: Iterable[str], *points: Any, stamp: tuple[int, int] = (0, 0)) -> Any:
+    """A trajectory of these points."""
+    header = STORE.types["std_msgs/msg/Header"](STORE.types["builtin_interfaces/msg/Time"](*stamp), "")
+    return STORE.types[JOINT_TRAJECTORY](header, [*joints], [*points])
+
+
+def encoded(trajectory: Any) -> bytes:
     """In CDR."""
-    return bytes(STORE.serialize_cdr(message, kind))
-
-
-def deserialized(kind: str, message: bytes) -> Any:
-    """From CDR."""
-    return STORE.deserialize_cdr(message, kind)
-
-
-def joint_state(stamp: tuple[int, int], frame_id: str, names: Sequence[str], *values: Floats) -> bytes:
-    """A JointState: positions, velocities, effort."""
-    kind = STORE.types[JOINT_STATE]
-    return serialized(JOINT_STATE, kind(_header(stamp, frame_id), list(names), *map(_array, values)))
-
-
-def joint_trajectory(
-    names: Sequence[str], points: Sequence[Point], stamp: tuple[int, int] = (0, 0), frame_id: str = ""
-) -> bytes:
-    """A JointTrajectory."""
-    of_point = STORE.types["trajectory_msgs/msg/JointTrajectoryPoint"]
-    duration = STORE.types["builtin_interfaces/msg/Duration"]
-    made = [of_point(*map(_array, point[:4]), duration(*point[4])) for point in points]
-    kind = STORE.types[JOINT_TRAJECTORY]
-    return serialized(JOINT_TRAJECTORY, kind(_header(stamp, frame_id), list(names), made))
-
-
-def _header(stamp: tuple[int, int], frame_id: str) -> Any:
-    return STORE.types["std_msgs/msg/Header"](STORE.types["builtin_interfaces/msg/Time"](*stamp), frame_id)
-
-
-def _array(values: Floats) -> Any:
-    return np.array(values, dtype=np.float64)
+    return bytes(STORE.serialize_cdr(trajectory, JOINT_TRAJECTORY))

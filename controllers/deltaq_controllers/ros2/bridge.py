@@ -15,10 +15,10 @@ import zenoh
 
 from deltaq_controllers.answers import Answers, lease
 from deltaq_controllers.ros2.messages import (
+    JOINT_STATE,
+    JOINT_TRAJECTORY,
     MAX_MESSAGE_BYTES,
-    JointState,
     JointStates,
-    JointTrajectory,
     RosType,
 )
 from deltaq_controllers.ros2.mover import TrajectoryMover
@@ -251,7 +251,7 @@ class Bridge:
                 async with asyncio.TaskGroup() as tasks:
                     for robot in cell.robots:
                         topic = f"{namespace.rstrip('/')}/{ros_name(robot)}"
-                        publisher = ros.publisher(f"{topic}/joint_states", JointState.TYPE)
+                        publisher = ros.publisher(f"{topic}/joint_states", JOINT_STATE)
                         tasks.create_task(self._publish(cell, robot, publisher))
                         if robot in self._ros.accepts:
                             move = self._obey(cell, robot, ros, f"{topic}/joint_trajectory")
@@ -279,7 +279,7 @@ class Bridge:
     async def _publish(self, cell: Cell, robot: str, publisher: RosPublisher) -> None:
         joint_states = JointStates(cell.robots[robot], cell.description.cycle_s)
         async for state in cell.states(robot):
-            publisher.publish(joint_states.message(state, time.time_ns()).encode())
+            publisher.publish(joint_states.message(state, time.time_ns()))
             self._published[robot] += 1
 
     async def _obey(self, cell: Cell, robot: str, ros: RosSession, topic: str) -> None:
@@ -292,7 +292,7 @@ class Bridge:
             mover.hear(message, attachment, time.time_ns())
             has_come.set()
 
-        ros.subscribe(topic, JointTrajectory.TYPE, take)
+        ros.subscribe(topic, JOINT_TRAJECTORY, take)
         while True:
             await has_come.wait()
             has_come.clear()

@@ -14,7 +14,7 @@ import numpy as np
 
 from deltaq_controllers.interface import LastIncrement, RobotView, View
 from deltaq_controllers.limits import IncrementLimits
-from deltaq_controllers.ros2.messages import JointTrajectory, RefusedMessageError
+from deltaq_controllers.ros2.messages import RefusedMessageError, decoded_trajectory
 from deltaq_controllers.ros2.rmw import RosAttachment
 from deltaq_controllers.ros2.trajectory import START_WITHIN, Path, Trajectory, path_from, read_trajectory
 from deltaq_protocol.arrays import Array
@@ -341,7 +341,7 @@ class TrajectoryMover:
         """Take a message, from any sender; `now` is in ns since the epoch."""
         try:
             RosAttachment.decode(attachment)
-            trajectory = read_trajectory(JointTrajectory.decode(message), self._robot, now_ns)
+            trajectory = read_trajectory(decoded_trajectory(message), self._robot, now_ns)
         except RefusedMessageError as error:
             self._refuse(error)
             return

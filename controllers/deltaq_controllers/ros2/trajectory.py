@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_controllers.ros2.messages import (
-    JointTrajectory,
-    JointTrajectoryPoint,
-    RefusedMessageError,
-    RosTime,
-)
+from deltaq_controllers.ros2.messages import RefusedMessageError
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import RobotSummary
 
@@ -126,6 +123,11 @@ STAMP_WITHIN_S = 5.0
 START_WITHIN = {"rad": 0.02, "m": 0.005}
 """How far from the robot's setpoint a first point with `time_from_start` 0 may be, by the joint's unit [rad, m]."""
 
+_SHOWN = 256
+"""Characters of an unknown name in its refusal."""
+
+_NANOSECONDS = 10**9
+
 _ROUNDING = 1e-6
 """Tolerance relative to a limit: a trajectory exactly at a limit is allowed."""
 
@@ -153,11 +155,11 @@ class Trajectory:
         return float(self.times_s[-1])
 
 
-def read_trajectory(message: JointTrajectory, robot: RobotSummary, now_ns: int) -> Trajectory | None:
+def read_trajectory(message: Any, robot: RobotSummary, now_ns: int) -> Trajectory | None:
     """The trajectory that a message requests of a robot; None: to stop.
 
     Args:
-        message: as received.
+        message: a `trajectory_msgs/msg/JointTrajectory`, as received.
         robot: its joints and limits.
         now_ns: time since the epoch [ns].
 
@@ -171,7 +173,7 @@ def read_trajectory(message: JointTrajectory, robot: RobotSummary, now_ns: int) 
     n = len(order)
     rows = [_rows(point, f"points[{k}]", n) for k, point in enumerate(message.points)]
     q = np.array([positions for positions, _ in rows])[:, order]
-    velocities = np.array([given or (math.nan,) * n for _, given in rows])[:, order]
+    velocities = np.array([given or [math.nan] * n for _, given in rows])[:, order]
     trajectory = Trajectory(_times_s(message.points), q, velocities)
     _check_limits(trajectory, robot)
     return trajectory
@@ -212,14 +214,22 @@ def path_from(trajectory: Trajectory, q_cmd: Array, robot: RobotSummary) -> Path
     return path
 
 
-def _check_stamp(stamp: RosTime, now_ns: int) -> None:
-    away_s = stamp.total_s - now_ns / 1e9
-    if stamp != RosTime() and abs(away_s) > STAMP_WITHIN_S:
+def _check_stamp(stamp: Any, now_ns: int) -> None:
+    time_s = _seconds(stamp, "header.stamp")
+    away_s = time_s - now_ns / 1e9
+    if time_s and abs(away_s) > STAMP_WITHIN_S:
         bound = f"0, or within {STAMP_WITHIN_S:g} s of now: a trajectory begins when it comes"
         raise RefusedMessageError("time", "header.stamp", f"{away_s:+.3f} s from now", bound)
 
 
-def _joint_order(given: tuple[str, ...], joints: tuple[str, ...]) -> list[int]:
+def _seconds(time: Any, name: str) -> float:
+    """Seconds of a `builtin_interfaces/msg/Time` or `Duration`."""
+    if time.nanosec >= _NANOSECONDS:
+        raise RefusedMessageError("time", f"{name}.nanosec", time.nanosec, f"less than {_NANOSECONDS}")
+    return float(time.sec + time.nanosec / _NANOSECONDS)
+
+
+def _joint_order(given: Sequence[str], joints: tuple[str, ...]) -> list[int]:
     """Where each joint of the robot is among those that were given."""
     seen: set[str] = set()
     for k, name in enumerate(given):
@@ -228,7 +238,8 @@ def _joint_order(given: tuple[str, ...], joints: tuple[str, ...]) -> list[int]:
                 "joint_names", f"joint_names[{k}]", f"{name!r} again", "each joint once"
             )
         if name not in joints:
-            raise RefusedMessageError("joint_names", f"joint_names[{k}]", repr(name), ", ".join(joints))
+            shown = repr(name[:_SHOWN])
+            raise RefusedMessageError("joint_names", f"joint_names[{k}]", shown, ", ".join(joints))
         seen.add(name)
     if missing := [name for name in joints if name not in seen]:
         raise RefusedMessageError(
@@ -237,23 +248,27 @@ def _joint_order(given: tuple[str, ...], joints: tuple[str, ...]) -> list[int]:
     return [given.index(name) for name in joints]
 
 
-def _rows(point: JointTrajectoryPoint, name: str, n: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _rows(point: Any, name: str, n: int) -> tuple[list[float], list[float]]:
     """Positions and velocities of a point; velocities are empty where there are none."""
-    fields = {"positions": point.positions, "velocities": point.velocities}
-    for field, values in (fields | {"accelerations": point.accelerations, "effort": point.effort}).items():
+    rows = {
+        field: getattr(point, field).tolist()
+        for field in ("positions", "velocities", "accelerations", "effort")
+    }
+    for field, values in rows.items():
         if len(values) != n and (values or field == "positions"):
             bound = f"{n}, one for each joint" + ("" if field == "positions" else ", or 0")
             raise RefusedMessageError("length", f"{name}.{field}", f"of length {len(values)}", bound)
         for k, value in enumerate(values):
             if not math.isfinite(value):
                 raise RefusedMessageError("not_finite", f"{name}.{field}[{k}]", value, "a finite number")
-    return point.positions, point.velocities
+    return rows["positions"], rows["velocities"]
 
 
-def _times_s(points: tuple[JointTrajectoryPoint, ...]) -> Array:
+def _times_s(points: Sequence[Any]) -> Array:
     before_s, times_s = -math.inf, []
     for k, point in enumerate(points):
-        name, time_s = f"points[{k}].time_from_start", point.time_from_start.total_s
+        name = f"points[{k}].time_from_start"
+        time_s = _seconds(point.time_from_start, name)
         if not 0.0 <= time_s <= MAX_DURATION_S:
             raise RefusedMessageError("time", name, f"{time_s:g} s", f"0 to {MAX_DURATION_S:g} s")
         if time_s <= before_s:
