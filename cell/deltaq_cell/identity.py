@@ -27,6 +27,7 @@ _PLACES = {
     "equipment",
 }
 _PLACES_OF_ROBOT = {"server", "model"}
+_PLACES_OF_CAMERA = {"source", "source_right"}
 _PLACES_OF_DRIVER = {"address", "port", "control_port", "krc_address", "ethernet_xml"}
 
 
@@ -36,6 +37,7 @@ def content_identity(cell: CellDescription) -> CellIdentity:
     for robot in fields["robots"].values():
         _leave_out(robot, _PLACES_OF_ROBOT)
         _leave_out(robot["driver"], _PLACES_OF_DRIVER)
+        _leave_out(robot["camera"] or {}, _PLACES_OF_CAMERA)
     return CellIdentity(cell.cell, _hash(fields))
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from deltaq_cell.description import RobotDescription
+from deltaq_cell.description.bodies import VIDEO_FORMS
 from deltaq_cell.description.robot import DRIVES, ServoLag
 from deltaq_cell.find import find_cell
 from deltaq_cell.load import load_cell, load_with_text, parse_cell
@@ -111,6 +112,11 @@ WRONG = [
     ("home_deg: -90", "home_deg: 90", 10, "robots.fr.joints.a2", None, None,
      "home_deg 90 must lie between lower_deg -150"),
     ("        home_deg: -90\n", "", 10, "robots.fr.joints.a2", None, None, "a joint needs home_deg"),
+    *(("    driver: {", f"    camera: {{source: '{source}'}}\n    driver: {{", 7, "robots.fr.camera.source", source,
+       VIDEO_FORMS, "should be test, v4l2:/dev/NAME")
+      for source in ("tset", "rtsp://eye:secret@host/1", "http://host/1.mp4", "v4l2:video0")),
+    ("    driver: {", "    camera: {source: test, source_right: test}\n    driver: {", 7, "robots.fr.camera", None,
+     None, "source_right is test, and source test with baseline_m 0"),
 ]  # fmt: skip
 
 

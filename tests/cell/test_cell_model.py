@@ -52,6 +52,7 @@ def test_every_change_of_meaning_changes_the_hash(tmp_path: Path, changes: str) 
         "robots: {fr: {server: tcp/127.0.0.1:9996, driver: {port: 9995, control_port: 9994}}}",
         f"cycle_s: {load_cell('lab').cycle_s!r}0",
         "equipment: {gauge_1: null, gauge_3: {kind: gauge, bodies: [pipe_1]}}",
+        "robots: {fr: {camera: {source: test, source_right: plant.mp4}}}",
     ],
 )
 def test_addresses_formatting_and_equipment_do_not_change_the_hash(tmp_path: Path, changes: str) -> None:

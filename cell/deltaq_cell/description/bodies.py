@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 from functools import partial
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from deltaq_protocol.endpoint import Endpoint, InvalidEndpointError
@@ -44,6 +44,19 @@ def _listens_guarded(text: str) -> str:
 GuardedEndpointText = Annotated[str, AfterValidator(_listens_guarded)]
 """Of the guarded realm: `local`, a Unix socket in the folder of the launch, or `local/NAME` to name it; `tls/HOST:PORT`
 where services run on several machines and have identities. `tcp/` on the loopback is read as `local`."""
+
+
+VIDEO_FORMS = "test, v4l2:/dev/NAME, rtsp://HOST/PATH without a password, or a file such as plant.mp4"
+_VIDEO = re.compile(r"test|v4l2:/dev/[A-Za-z0-9_/-]+|rtsps?://[^\s@/]+(/[^\s@]*)?|[^:@\s]+\.[A-Za-z0-9]+")
+
+
+def _names_video(text: str) -> str:
+    if not _VIDEO.fullmatch(text):
+        raise PydanticCustomError("video", "should be {pattern}", {"pattern": VIDEO_FORMS})
+    return text
+
+
+VideoSource = Annotated[str, AfterValidator(_names_video)]
 
 
 class DescriptionModel(BaseModel):
@@ -119,6 +132,20 @@ class Camera(DescriptionModel):
     """Width of a picture by its height."""
     baseline_m: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Distance between the eyes of a stereo camera; 0 for a single one."""
+    source: VideoSource | None = None
+    """Its live picture: `test`, `v4l2:/dev/video0`, `rtsp://HOST/PATH`, or a file beside the cell's; none: it has none.
+    Clients can read it, so it has no password: the environment variable DELTAQ_VIDEO_LOGIN gives `USER:PASSWORD`."""
+    source_right: VideoSource | None = None
+    """The same of the right eye of a stereo camera; `source` is then that of the left eye."""
+
+    @model_validator(mode="after")
+    def _has_a_source_for_either_eye(self) -> Self:
+        if self.source_right is not None and (self.source is None or not self.baseline_m):
+            raise ValueError(
+                f"source_right is {self.source_right}, and source {self.source or 'none'} with baseline_m "
+                f"{self.baseline_m:g}: a right eye needs a source of the left one, and baseline_m above 0"
+            )
+        return self
 
 
 class Tool(DescriptionModel):

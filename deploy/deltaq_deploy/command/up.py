@@ -105,9 +105,10 @@ def _services(
         console_service,
         recorder,
         select,
+        video_services,
     )
 
-    services = cell_services(description, cell, real, audit)
+    services = (*cell_services(description, cell, real, audit), *video_services(description, cell))
     if record:
         services = (*services, recorder(cell, record))
     if with_console and console_is_installed():

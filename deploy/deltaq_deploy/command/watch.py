@@ -182,10 +182,11 @@ def _health(service: str, cell: str, json: bool) -> None:
     from deltaq_cell.load import load_cell
     from deltaq_deploy.command.console import print_json
     from deltaq_deploy.launch.probes import probe
-    from deltaq_deploy.launch.services import cell_services, console_service, one
+    from deltaq_deploy.launch.services import cell_services, console_service, one, video_services
 
     description = load_cell(cell)
-    services = (*cell_services(description, cell), console_service(description, cell, ()))
+    others = (console_service(description, cell, ()), *video_services(description, cell))
+    services = (*cell_services(description, cell), *others)
     answer = probe(one(services, service), description)
     if json:
         print_json({"service": service, "healthy": answer.healthy, "detail": answer.detail})

@@ -22,7 +22,14 @@ from typing import Any, Self
 from deltaq_deploy.launch.child_process import Child, Exited, Lifeline, Ready
 from deltaq_deploy.launch.given_tokens import ConsoleToken, console_needs_token, controllers_token
 from deltaq_deploy.launch.program import LaunchError, LaunchInterruptedError
-from deltaq_deploy.launch.services import BRAKING_ROLES, OPTIONAL_ROLES, ListeningSocket, Role, Service
+from deltaq_deploy.launch.services import (
+    BRAKING_ROLES,
+    OPTIONAL_ROLES,
+    ORDINARY_ROLES,
+    ListeningSocket,
+    Role,
+    Service,
+)
 from deltaq_deploy.launch.warden import Warden
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.log import RESULT, read_json_line
@@ -296,7 +303,7 @@ class Launcher:
                 self._events.put,
                 self._on_line,
                 environment=self._environment_of(service),
-                is_ordinary=service.role is Role.CONSOLE,
+                is_ordinary=service.role in ORDINARY_ROLES,
                 lifeline=self._lifelines.pop(service.name, None),
                 outlived_by=[self._lifelines.setdefault(name, Lifeline()) for name in emulated],
             )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import struct
 import time
 from dataclasses import dataclass
 from typing import assert_never
@@ -18,6 +19,7 @@ from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.envelope import message_in
 from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
 from deltaq_protocol.guarded import Health
+from deltaq_services.video_stream import ASK, LENGTH, MOST_BYTES, VideoMessage, video_socket
 
 TIMEOUT_S = 3.0
 
@@ -69,6 +71,8 @@ def probe(service: Service, cell: CellDescription) -> ProbeAnswer:
             return _ask_panel(service.name, service.endpoint)
         case Probe.WEB:
             return _ask_web(service.name, service.endpoint)
+        case Probe.VIDEO:
+            return _ask_video(service.name, service.endpoint, cell)
         case _:
             assert_never(service.probe)
 
@@ -123,6 +127,20 @@ def _ask_web(name: str, endpoint: str) -> ProbeAnswer:
     except (OSError, ValueError) as error:
         raise _silent(name, endpoint) from error
     return ProbeAnswer(answer.healthy, answer.detail)
+
+
+def _ask_video(name: str, stream: str, cell: CellDescription) -> ProbeAnswer:
+    try:
+        with socket.socket(socket.AF_UNIX) as asking:
+            asking.settimeout(TIMEOUT_S)
+            asking.connect(str(video_socket(cell, stream)))
+            asking.sendall(ASK)
+            with asking.makefile("rb") as answer:
+                (length,) = LENGTH.unpack(answer.read(LENGTH.size))
+                message = VideoMessage.unpacked(answer.read(min(length, MOST_BYTES)))
+    except (OSError, ValueError, struct.error) as error:
+        raise _silent(name, stream) from error
+    return ProbeAnswer(not message.words, message.words or "pictures come")
 
 
 def _silent(name: str, endpoint: str) -> ServiceUnreachableError:

@@ -16,6 +16,7 @@ from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.real_time import SchedulingPriority
 from deltaq_services.guarded_realm import realm_of
+from deltaq_services.video_stream import video_streams
 
 
 class Role(StrEnum):
@@ -30,14 +31,19 @@ class Role(StrEnum):
     RECORDER = "recorder"
     METRICS = "metrics"
     CONSOLE = "console"
+    VIDEO = "video"
 
 
 BRAKING_ROLES = (Role.ROBOT_SERVER, Role.EMULATOR)
 """What a robot needs to come to rest once the gate is silent."""
 
 
-OPTIONAL_ROLES = (Role.CONSOLE, Role.METRICS)
+OPTIONAL_ROLES = (Role.CONSOLE, Role.METRICS, Role.VIDEO)
 """What a cell runs without."""
+
+
+ORDINARY_ROLES = (Role.CONSOLE, Role.VIDEO)
+"""What shows: it runs at ordinary priority."""
 
 
 GUARDED_ROLES = (Role.ROBOT_SERVER, Role.SIM, Role.HLI)
@@ -55,6 +61,8 @@ class Probe(StrEnum):
     """It answers `{"op": "status"}` in a UDP datagram, at the endpoint given."""
     WEB = "web"
     """It answers `GET /health` with a JSON object, at the endpoint given."""
+    VIDEO = "video"
+    """It serves the live picture that the endpoint names."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +94,7 @@ class Service:
         listens: sockets that must be free before it starts.
         robot: the one it serves; None if it serves the whole cell.
         probe: how to ask for its health; None for controllers, which come and go.
-        endpoint: where to ask, as the cell's file has it, or `udp/HOST:PORT` or `http://HOST:PORT`.
+        endpoint: where to ask, as the cell's file has it, or `udp/HOST:PORT` or `http://HOST:PORT`, or a live picture.
         realm: the folder of sockets of its guarded realm, as `guarded_realm.realm_of` names it; None if it speaks in
             none, or in one over TLS.
     """
@@ -209,6 +217,22 @@ def console_service(
         listens=(ListeningSocket("tcp", cell.console_address, cell.console_port, "console_port"),),
         probe=Probe.WEB,
         endpoint=f"http://{_reached_at(cell.console_address)}:{cell.console_port}",
+    )
+
+
+def video_services(cell: CellDescription, cell_name: str) -> tuple[Service, ...]:
+    """The live pictures of a cell, one service each; no service needs them."""
+    arguments = ("-m", "deltaq_services.video", "--cell", cell_name, "--stream")
+    return tuple(
+        Service(
+            name=f"video-{stream.name}",
+            role=Role.VIDEO,
+            arguments=(*arguments, stream.name),
+            robot=stream.robot,
+            probe=Probe.VIDEO,
+            endpoint=stream.name,
+        )
+        for stream in video_streams(cell)
     )
 
 

@@ -173,7 +173,8 @@ class ConsoleCore:
             return [acknowledged(client, command.id, AckOutcome.REFUSED, text)]
         late_s = client.clocks.hear(command.sent_ms / 1000.0, now_s)
         if isinstance(command, Ping):
-            return [ToClient(client.number, Pong(id=command.id, sent_ms=command.sent_ms))]
+            pong = Pong(id=command.id, sent_ms=command.sent_ms, server_ms=1000.0 * now_s)
+            return [ToClient(client.number, pong)]
         if late_s > EXPIRY_S[command.type]:
             self.counters["expired"] += 1
             text = f"your browser was {late_s:.2f} s late; bound {EXPIRY_S[command.type]:g} s: press again"

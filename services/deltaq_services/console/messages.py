@@ -66,11 +66,12 @@ class ConsoleHello(Message):
 
 
 class Pong(Message):
-    """Answer to a `Ping`, with its `sent_ms`."""
+    """Answer to a `Ping`: its `sent_ms`, and this server's clock."""
 
     type: Literal["pong"] = "pong"
     id: str
     sent_ms: Real
+    server_ms: Real
 
 
 class AckOutcome(StrEnum):

@@ -53,6 +53,7 @@ from deltaq_services.console.recordings import RecorderProcess, RecordingFolder,
 from deltaq_services.console.scene import BrowserScene, scene_of
 from deltaq_services.console.settings import Settings
 from deltaq_services.containment import Containment
+from deltaq_services.video_stream import video_socket, video_streams
 
 M = TypeVar("M", bound=Message)
 
@@ -147,6 +148,8 @@ class Console:
         core: makes the decisions.
         folder: of the recordings.
         reader: reads them for browsers.
+        epoch_s: how far its clock is ahead of the monotonic one [s].
+        pictures: sockets of the live pictures, by name.
     """
 
     def __init__(self, cell: CellModel, settings: Settings) -> None:
@@ -188,7 +191,8 @@ class Console:
         self._newest_stop = ""
         self._heartbeat = Heartbeat()
         self._containment = Containment(lambda: ())
-        self._epoch_s = time.time() - time.monotonic()
+        self.epoch_s = time.time() - time.monotonic()
+        self.pictures = {one.name: video_socket(description, one.name) for one in video_streams(description)}
 
     async def run(self) -> None:
         """Watch the cell until cancelled; then drivers bring their robots to rest."""
@@ -205,7 +209,7 @@ class Console:
 
     def now_s(self) -> float:
         """Time of day as it was at the start, and counted on without steps [s]."""
-        return self._epoch_s + time.monotonic()
+        return self.epoch_s + time.monotonic()
 
     async def serve(
         self,
@@ -351,7 +355,7 @@ class Console:
         picture = self.core.picture
         for robot, side in self.core.robots.items():
             heard = self._link.heard(robot)
-            arrived_s = self._epoch_s + heard.state_s
+            arrived_s = self.epoch_s + heard.state_s
             if heard.states:
                 side.feed.arrived(heard.longest_gap_s, now_s)
             for payload in heard.states:

@@ -1,4 +1,4 @@
-"""The console's web server: the page, the scene and its meshes, recordings, and the live WebSocket.
+"""The console's web server: the page, the scene and its meshes, recordings, the live WebSocket, and live pictures.
 
 Protected content goes only to the console's own pages (a browser names the asking page), and only under the
 console's own host names, so no other web site can pose as it. The `Door` decides on access.
@@ -12,7 +12,7 @@ import logging
 import signal
 import socket
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -25,7 +25,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.types import Receive, Scope, Send
-from starlette.websockets import WebSocket, WebSocketClose
+from starlette.websockets import WebSocket, WebSocketClose, WebSocketDisconnect
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_protocol.errors import ServiceUnreachableError
@@ -33,6 +33,7 @@ from deltaq_services.console.recordings import BusyError, NoSuchRecordingError, 
 from deltaq_services.console.scene import MESHES
 from deltaq_services.console.settings import LOOPBACK_HOSTS, Door, Entrance, Settings
 from deltaq_services.console.shell import BrowserConnection, Console
+from deltaq_services.video_stream import ASK, LENGTH, MOST_BYTES, on_clock
 
 _log = logging.getLogger(__name__)
 
@@ -47,7 +48,7 @@ _PAGE_HEADERS = {
 
 _LONGEST_BYTES = 64 * 1024
 """Longest message that is read; commands are shorter, and a longer message gets an error."""
-_NOT_PERMITTED = 1008
+_NOT_PERMITTED, _TRY_AGAIN = 1008, 1013
 _LONGEST_NAME, _LONGEST_SESSION = 32, 64
 
 
@@ -121,6 +122,7 @@ def application(console: Console, settings: Settings) -> Starlette:
             Route("/recordings", served.recordings),
             Route("/recordings/{name}", served.recording),
             WebSocketRoute("/live", served.live),
+            WebSocketRoute("/video/{name}", served.video),
             Mount("/", _Page(directory=_PAGE, html=True)),
         ],
         middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=list(LOOPBACK_HOSTS))]
@@ -133,7 +135,7 @@ class _Page(StaticFiles):
     """The page's files; it runs no script and loads nothing but what this console serves."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] == "websocket":  # the console has no other than /live
+        if scope["type"] == "websocket":  # the console has no other than these
             await WebSocketClose(_NOT_PERMITTED)(scope, receive, send)
         else:
             await super().__call__(scope, receive, send)
@@ -199,15 +201,10 @@ class _Served:
 
     async def live(self, websocket: WebSocket) -> None:
         """Serve the WebSocket of one browser until it disconnects."""
-        asked = websocket.query_params
-        entrance = self._enter(websocket, asked.get("token", ""))
-        origin = websocket.headers.get("origin")  # a program that is no browser does not say
-        is_own = origin is None or urlsplit(origin).netloc == websocket.headers.get("host")
-        if not is_own or entrance not in (Entrance.OPERATOR, Entrance.OBSERVER):
-            self._console.core.counters["turned_away"] += 1
-            await websocket.close(_NOT_PERMITTED)
+        entrance = await self._accepted(websocket, (Entrance.OPERATOR, Entrance.OBSERVER))
+        if entrance is None:
             return
-        await websocket.accept()
+        asked = websocket.query_params
         name = asked.get("name", "").strip()[:_LONGEST_NAME]
         session, page = (asked.get(key, "")[:_LONGEST_SESSION] for key in ("session", "page"))
         await self._console.serve(
@@ -219,11 +216,68 @@ class _Served:
             page,
         )
 
+    async def video(self, websocket: WebSocket) -> None:
+        """Serve one browser the live picture of a camera, which may show people: it is for operators."""
+        path = self._console.pictures.get(websocket.path_params["name"])
+        if path is None:
+            await websocket.close(_NOT_PERMITTED)
+        elif await self._accepted(websocket, (Entrance.OPERATOR,)) is not None:
+            await _relay(websocket, path, self._console.epoch_s)
+
+    async def _accepted(self, websocket: WebSocket, roles: Sequence[Entrance]) -> Entrance | None:
+        """Accept a WebSocket of the console's own page with one of these roles; None if it was turned away."""
+        entrance = self._enter(websocket, websocket.query_params.get("token", ""))
+        origin = websocket.headers.get("origin")  # a program that is no browser does not say
+        is_own = origin is None or urlsplit(origin).netloc == websocket.headers.get("host")
+        if not is_own or entrance not in roles:
+            self._console.core.counters["turned_away"] += 1
+            await websocket.close(_NOT_PERMITTED)
+            return None
+        await websocket.accept()
+        return entrance
+
     def _enter(self, request: HTTPConnection, token: str) -> Entrance:
         entrance = self._door.look(token, _address(request), time.monotonic())
         if entrance is Entrance.WRONG:
             _log.warning("a wrong token from %s at the console", _address(request))
         return entrance
+
+
+async def _relay(websocket: WebSocket, path: Path, epoch_s: float) -> None:
+    """Serve one browser until it or the service leaves; the page connects again.
+
+    Args:
+        websocket: accepted; each message of it asks for a picture.
+        path: of the socket of the picture's service.
+        epoch_s: how far the console's clock is ahead of the monotonic one [s].
+    """
+    with contextlib.suppress(OSError):
+        reader, writer = await asyncio.open_unix_connection(path)
+        tasks = [
+            asyncio.ensure_future(_ask(websocket, writer)),
+            asyncio.ensure_future(_answer(websocket, reader, epoch_s)),
+        ]
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        writer.close()
+    with contextlib.suppress(RuntimeError, WebSocketDisconnect):  # it has gone already
+        await websocket.close(_TRY_AGAIN, "the service of its picture does not run")
+
+
+async def _ask(websocket: WebSocket, writer: asyncio.StreamWriter) -> None:
+    while (await websocket.receive())["type"] != "websocket.disconnect":
+        writer.write(ASK)
+        await writer.drain()
+
+
+async def _answer(websocket: WebSocket, reader: asyncio.StreamReader, epoch_s: float) -> None:
+    while True:
+        (length,) = LENGTH.unpack(await reader.readexactly(LENGTH.size))
+        if length > MOST_BYTES:
+            return
+        await websocket.send_bytes(on_clock(await reader.readexactly(length), epoch_s))
 
 
 def _address(request: HTTPConnection) -> str:

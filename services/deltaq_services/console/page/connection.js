@@ -5,6 +5,7 @@ const OPENING_MS = 5000;
 const PING_MS = 500;
 const ANSWER_MS = 1000;
 const RETRY_MS = [200, 400, 800, 1600];
+const CLOCKS_MS = 10000;
 const MOST_BUFFERED_BYTES = 4096; // more means that the line does not take what is sent
 
 export class Connection extends EventTarget {
@@ -17,6 +18,7 @@ export class Connection extends EventTarget {
   constructor(url, { Socket = globalThis.WebSocket, now = () => performance.timeOrigin + performance.now() } = {}) {
     super();
     Object.assign(this, { url, Socket, now, isUp: false, roundTrip_ms: NaN });
+    this._clocks = [];
     this._session = Math.random().toString(36).slice(2, 10);
     this._count = 0;
     this._waiting = new Map();
@@ -54,6 +56,11 @@ export class Connection extends EventTarget {
       const timer = setTimeout(() => this._answer({ id, outcome: "lost", text: "no answer from the console" }, true), ANSWER_MS);
       this._waiting.set(id, { resolve, heard, timer });
     });
+  }
+
+  /** How far the console's clock is ahead of `now()`, as NTP estimates it: by the quickest answer of the last seconds [ms]. */
+  get ahead_ms() {
+    return this._clocks.reduce((best, one) => (one.trip < best.trip ? one : best), { trip: Infinity, ahead: NaN }).ahead;
   }
 
   canSend() {
@@ -99,12 +106,16 @@ export class Connection extends EventTarget {
       }
       this.isUp = true;
       this._attempt = 0;
+      this._clocks = [];
       this._tell("up", message);
       this.pulse();
     } else if (message.type === "ack") {
       this._answer(message, message.outcome !== "asked");
     } else if (message.type === "pong") {
-      this.roundTrip_ms = this.now() - message.sent_ms;
+      const now = this.now();
+      this.roundTrip_ms = now - message.sent_ms;
+      this._clocks.push({ now, trip: this.roundTrip_ms, ahead: message.server_ms - (now + message.sent_ms) / 2 });
+      while (now - this._clocks[0].now > CLOCKS_MS) this._clocks.shift();
     }
     this._tell(message.type, message);
   }

@@ -1,11 +1,14 @@
-// A follower's picture: a second camera in the same scene, with a reticle, as an inset or large, plain or in stereo. Of
-// several followers one is shown: the one that was chosen, or one that sees its target.
+// A follower's picture: live, or drawn by a second camera in the same scene; with a reticle, as an inset or large, plain
+// or in stereo. Of several followers one is shown: the one that was chosen, or one that sees its target.
 
 import { THREE } from "./vendor/three.js";
 import { degrees, el, part, remember, remembered, say } from "./dom.js";
+import { Video } from "./video.js";
 
 const SHAPES = ["plain", "side by side", "red-cyan"];
 const AUTOMATIC = "auto";
+const MODEL = "model";
+const LOOK_MS = 100; // between two looks whether a live picture is old
 const FAR_M = 40;
 
 /** Angle between view axis and focus [rad], and distance [m], of the camera pose T (16 numbers). */
@@ -53,10 +56,14 @@ export class FollowerPicture {
     this.followers = views.filter(({ robot }) => robot.camera);
     this.camera = new THREE.PerspectiveCamera(45, 1.5, 0.05, FAR_M);
     this.camera.matrixAutoUpdate = false;
+    this.videos = this.followers.map(({ robot }) => robot.camera.video.map((name) => new Video(live.connection, name, () => stage.ask())));
     this._build();
     this._choose(remembered("camera", AUTOMATIC));
     if (this.followers.length > 1) live.addEventListener("frame", () => this._handOver());
     stage.afterEach((renderer) => this._draw(renderer));
+    for (const kind of ["line", "replay"]) live.addEventListener(kind, () => this._drawAnew());
+    document.addEventListener("visibilitychange", () => this._drawAnew());
+    if (this.videos.flat().length) setInterval(() => this._lookAtLive(), LOOK_MS);
   }
 
   /** RobotView whose camera is shown. */
@@ -68,7 +75,18 @@ export class FollowerPicture {
     return this.view.robot.camera;
   }
 
+  /** Whether the live picture is shown: of a camera that has one, to operators, as long as no recording is. */
+  get isLive() {
+    return this.settings.video.length > 0 && this._source.value !== MODEL && !this.live.replay && !!this.live.hello?.operator;
+  }
+
+  /** The live pictures that are shown, none, one, or those of both eyes. */
+  get eyes() {
+    return this.isLive ? this.videos[this.handover.present].slice(0, this._shape === SHAPES[0] ? 1 : 2) : [];
+  }
+
   get shape() {
+    if (this.isLive) return SHAPES[this.eyes.length - 1];
     return this.settings.baseline_m ? this._shape : SHAPES[0];
   }
 
@@ -102,13 +120,27 @@ export class FollowerPicture {
   _show(place) {
     this.handover.take(place);
     this.camera.fov = degrees(this.settings.fov_rad);
-    this._shapes.hidden = !this.settings.baseline_m;
     this._drawAnew();
   }
 
   _drawAnew() {
     this._inset = null;
+    const eyes = this.eyes;
+    for (const video of this.videos.flat()) video.isOn = eyes.includes(video) && !document.hidden;
+    this._screen.hidden = !eyes.length;
+    this._screen.replaceChildren(...eyes.map(({ canvas }) => canvas), this._fault);
+    this._source.hidden = !this.settings.video.length;
+    this._shapes.hidden = !this.settings.baseline_m || (this.isLive && this.settings.video.length < 2);
     this.stage.ask();
+  }
+
+  /** Say how old the live picture is, and grey it where it is too old, or frozen. */
+  _lookAtLive() {
+    const eyes = this.eyes;
+    const fault = eyes.map((video) => video.fault).find((words) => words) ?? "";
+    this._screen.toggleAttribute("data-fault", !!fault);
+    say(this._fault, fault && `The live picture is ${fault}`);
+    say(this._age, eyes.length && !fault ? `live ${Math.max(...eyes.map((video) => video.glass_ms)).toFixed(0)} ms` : "live");
   }
 
   /** Show another camera where this one has lost its target and the other sees its own. */
@@ -128,7 +160,7 @@ export class FollowerPicture {
 
   _build() {
     this.box = part("follower");
-    this._shape = remembered("stereo", SHAPES[0]);
+    this._shape = remembered("stereo", SHAPES[Math.max(0, ...this.videos.map((eyes) => eyes.length - 1))]);
     [this._name, this._text] = [el("b"), el("output")];
     this._ring = el("circle", { r: 7, class: "ring" });
     this._line = el("line", { class: "miss" });
@@ -140,6 +172,15 @@ export class FollowerPicture {
       remember("stereo", this._shape);
       this._drawAnew();
     });
+    this._age = el("option", { value: "live" }, "live");
+    this._source = el("select", { "aria-label": "Picture", title: "live, with its age from the lens to this page, or drawn from the model" }, this._age, el("option", {}, MODEL));
+    this._source.value = remembered("picture", "live");
+    this._source.addEventListener("change", () => {
+      remember("picture", this._source.value);
+      this._drawAnew();
+    });
+    this._fault = el("p", { role: "status" });
+    this._screen = el("div", { class: "live", hidden: true });
     this._automatic = el("option", { value: AUTOMATIC });
     const options = this.followers.map(({ name }) => el("option", { value: name }, `${name} camera`));
     const cameras = el("select", { "aria-label": "Camera", title: "auto: another camera is shown when this one has lost its target" }, this._automatic, ...options);
@@ -151,7 +192,8 @@ export class FollowerPicture {
     });
     Object.assign(this, { _shapes: shapes, _cameras: cameras });
     this.box.append(
-      el("figcaption", {}, this._name, cameras, this._text, shapes,
+      this._screen,
+      el("figcaption", {}, this._name, cameras, this._text, this._source, shapes,
         el("button", { class: "plain", title: "Large or small (V)", "aria-label": "Large or small", onclick: () => this.toggle() }, "⤢")),
       this._reticle,
     );
@@ -171,6 +213,15 @@ export class FollowerPicture {
   _draw(renderer) {
     const [holder, box] = [this.stage.canvas.getBoundingClientRect(), this.box.getBoundingClientRect()];
     if (!box.width || !box.height) return;
+    if (this.isLive) {
+      const { width, height } = this.eyes[0].canvas;
+      const scale = Math.min(box.width / width, box.height / height); // pixels are square: its view is that of the cell's file, upright
+      this.camera.aspect = width / height;
+      this.camera.updateProjectionMatrix();
+      this._place(this.view.cameraPose());
+      this._aim(box, { width: scale * width, height: scale * height });
+      return;
+    }
     const left = box.left - holder.left;
     const bottom = holder.bottom - box.bottom;
     // as an inset every other picture is enough, where the processor draws; one of what stands still is finer, and has it
@@ -213,8 +264,8 @@ export class FollowerPicture {
     this._aim(box);
   }
 
-  /** Put the ring where the focus is in the picture, and say how far off it is. */
-  _aim({ width, height }) {
+  /** Put the ring where the focus is in the picture, which fills the box or is in its middle, and say how far off it is. */
+  _aim({ width, height }, picture = { width, height }) {
     const focus = this.focus();
     say(this._name, `${this.view.name} camera`);
     say(this._automatic, `${this.view.name} camera (auto)`);
@@ -228,7 +279,7 @@ export class FollowerPicture {
     say(this._text, `${degrees(error.angle).toFixed(1)}°  ${error.distance.toFixed(2)} m`);
     if (error.angle > Math.PI / 2 || this.shape === SHAPES[1]) return;
     const at = new THREE.Vector3(...focus).project(this.camera);
-    const [x, y] = [(at.x * width) / 2, (-at.y * height) / 2];
+    const [x, y] = [(at.x * picture.width) / 2, (-at.y * picture.height) / 2];
     this._ring.style.display = this._line.style.display = "";
     this._ring.setAttribute("cx", x);
     this._ring.setAttribute("cy", y);
