@@ -8,6 +8,7 @@ import json
 import re
 from collections.abc import Iterable
 from enum import Enum
+from itertools import pairwise
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
@@ -49,10 +50,20 @@ def fields(model: type[BaseModel], level: int) -> str:
     kind = model.model_fields.get("type")
     head = f"{'#' * level} {model.__name__}" + (f"\n\n`type`: `{kind.default}`" if kind else "")
     text = inspect.cleandoc(model.__doc__ or "")
-    lines = [
-        f"- `{name}`: {described(field)}" for name, field in model.model_fields.items() if name != "type"
-    ]
-    return "\n\n".join([head, text, *(["\n".join(lines)] if lines else [])])
+    return "\n\n".join(part for part in (head, text, field_list(model)) if part)
+
+
+def field_list(model: type[BaseModel]) -> str:
+    """A model's fields as a list: type, bounds, default, and the text below the field in its source."""
+    texts: dict[str, str] = {}
+    for owner in reversed(model.__mro__):
+        if owner.__module__.startswith("deltaq"):
+            texts |= _texts_in(owner)
+    return "\n".join(
+        f"- `{name}`: {described(field)}" + (f". {texts[name]}" if name in texts else "")
+        for name, field in model.model_fields.items()
+        if name != "type"
+    )
 
 
 def described(field: FieldInfo) -> str:
@@ -123,16 +134,21 @@ def message_link(message: type[BaseModel]) -> str:
     return f"[{message.__name__}](messages.md#{message.__name__.lower()})"
 
 
-def texts_of_members(members: type[Enum] | type[BaseModel], fields: bool = False) -> list[str]:
-    """The text below each member of a table in its source; `fields` may lack one."""
-    body = ast.parse(inspect.getsource(members)).body[0]
+def texts_of_members(members: type[Enum]) -> list[str]:
+    """The text below each member of a table in its source."""
+    return list(_texts_in(members).values())
+
+
+def _texts_in(owner: type) -> dict[str, str]:
+    (body,) = ast.parse(inspect.getsource(owner)).body
     assert isinstance(body, ast.ClassDef)  # that is what it was given
-    texts: list[str] = []
-    for node in body.body[1:]:
-        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
-            texts[len(texts) - fields :] = [" ".join(str(node.value.value).split())]
-        elif fields and isinstance(node, ast.AnnAssign):
-            texts.append("")
+    texts: dict[str, str] = {}
+    for named, below in pairwise(body.body):
+        if isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant):
+            if isinstance(named, ast.AnnAssign):
+                texts[ast.unparse(named.target)] = " ".join(str(below.value.value).split())
+            elif isinstance(named, ast.Assign):
+                texts[ast.unparse(named.targets[0])] = " ".join(str(below.value.value).split())
     return texts
 
 

@@ -21,7 +21,7 @@ from deltaq_emulator.catalogue import TEXTS
 from deltaq_emulator.settings import KrcSettings
 from reference_pages import gain_sources
 from reference_pages.gain_sources import GainSource
-from reference_pages.markdown import described, fields, models, table, texts_of_members
+from reference_pages.markdown import field_list, fields, models, table, texts_of_members
 
 _COMMAND_HEAD = (
     "Look up what the `deltaq` command can do, and which services it starts. `deltaq VERB --help` explains each"
@@ -110,12 +110,6 @@ def krc() -> str:
         for of in (krc_states.KrcState, krc_states.KrcEvent)
         for each, text in zip(of, texts_of_members(of), strict=True)
     )
-    settings = "\n".join(
-        f"- `{name}`: {described(field)}. {text}"
-        for (name, field), text in zip(
-            KrcSettings.model_fields.items(), texts_of_members(KrcSettings, fields=True), strict=True
-        )
-    )
     return "\n\n".join(
         [
             "# The emulated KRC",
@@ -127,7 +121,7 @@ def krc() -> str:
             table(("state", "event", "next state"), changes),
             "## Settings",
             "Of `python -m deltaq_emulator --settings FILE.yaml`; defaults are the maker's where they are known.",
-            settings,
+            field_list(KrcSettings),
             "## Messages on the pendant",
             "Codes that begin with KSS are the maker's numbers; the wording is not.",
             table(("code", "text"), ((f"`{code}`", text) for code, text in TEXTS.items())),

@@ -69,7 +69,9 @@ class Pose(DescriptionModel):
     """A pose by position and roll, pitch, yaw: `R = Rz(yaw) Ry(pitch) Rx(roll)`."""
 
     position_m: Vector3 = (0.0, 0.0, 0.0)
+    """x, y, z."""
     rpy_deg: Vector3 = (0.0, 0.0, 0.0)
+    """Roll, pitch, yaw."""
 
 
 class BoxShape(DescriptionModel):
@@ -77,6 +79,7 @@ class BoxShape(DescriptionModel):
 
     kind: Literal["box"]
     size_m: tuple[Positive, Positive, Positive]
+    """Edges along x, y and z."""
 
 
 class CylinderShape(DescriptionModel):
@@ -110,14 +113,17 @@ class Body(DescriptionModel):
     """A rigid body: fixed to the world (structure) or to a link of a robot (attachment)."""
 
     shape: Shape
+    """What the gate measures; a figure shows the same."""
     pose: Pose = Pose()
     colour_rgba: Colour = (0.6, 0.6, 0.62, 1.0)
+    """In figures: red, green, blue and opacity, each from 0 to 1."""
 
 
 class Attachment(Body):
     """A body bolted to a link of a robot, e.g. a control box or a camera housing."""
 
     link: str
+    """Name of the link in the URDF."""
 
 
 class Camera(DescriptionModel):
@@ -128,6 +134,7 @@ class Camera(DescriptionModel):
 
     pose: Pose = Pose()
     vertical_view_deg: Annotated[float, Field(gt=1, lt=170)] = 45.0
+    """Angle of view along the picture's x axis."""
     aspect: Annotated[float, Field(gt=0.1, lt=10)] = 1.5
     """Width of a picture by its height."""
     baseline_m: Annotated[float, Field(ge=0, lt=1)] = 0.0
@@ -152,6 +159,7 @@ class Tool(DescriptionModel):
     """Tool frame and bodies of the tool, both in the flange frame."""
 
     frame: Pose = Pose()
+    """Its z axis points out of the tool."""
     bodies: dict[Name, Body] = {}
 
 
@@ -159,3 +167,4 @@ class Hand(Tool):
     """One of several hands: a tool on its own link, with frame and bodies in the frame of that link."""
 
     link: str
+    """Name of the link in the URDF."""

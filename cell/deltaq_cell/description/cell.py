@@ -97,10 +97,13 @@ class CellDescription(DescriptionModel):
     """A cell: its robots, its structure, the gate's margins, and the addresses of its services."""
 
     cell: Name
+    """Its name."""
     cycle_s: Annotated[float, Field(ge=0.001, le=0.1)]
     """The robots' own sample time."""
     robots: Annotated[dict[Name, RobotDescription], Field(min_length=1, max_length=MOST_ROBOTS)]
+    """By name."""
     structure: dict[Name, Body] = {}
+    """Fixed bodies, in the world's frame."""
     gate: GateDescription = GateDescription()
     contacts: dict[Name, ContactDescription] = {}
     """Contacts that an operator may allow; none is allowed at the start."""

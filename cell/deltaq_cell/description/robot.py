@@ -32,10 +32,15 @@ class JointDescription(DescriptionModel):
     """Limits and home of one joint; either all in degrees (revolute) or all in metres (prismatic)."""
 
     home_deg: FiniteFloat | None = None
+    """Where `home` moves it to, and where an emulated robot begins."""
     lower_deg: FiniteFloat | None = None
+    """Least setpoint that the gate admits."""
     upper_deg: FiniteFloat | None = None
+    """Greatest setpoint that the gate admits."""
     max_velocity_deg_s: Positive | None = None
+    """Greatest speed that the gate admits."""
     max_acceleration_rad_s2: Positive | None = None
+    """Greatest acceleration, and the deceleration of the brake."""
     tracking_tolerance_deg: Positive = 0.1
     """How far the joint may be off the hull of its setpoints; the gate's distances contain it."""
     home_m: FiniteFloat | None = None
@@ -129,12 +134,14 @@ class RsiDescription(DescriptionModel):
 
     kind: Literal["rsi"]
     address: str = "127.0.0.1"
+    """Of this machine, towards the KRC."""
     port: Annotated[int, Field(ge=1, le=65535)]
     krc_address: str | None = None
     """The KRC's own address: datagrams from others are dropped. Needed unless `address` is a loopback."""
     ethernet_xml: str
     """The RSI configuration that the KRC has loaded, beside the cell's file or shipped."""
     krc: Literal["krc2", "krc4"] = "krc2"
+    """Its generation."""
     ipoc_step: Annotated[int, Field(ge=1, le=1000)] | None = None
     """By how much the KRC's IPOC grows in a cycle; none: learned from its first telegrams."""
     inputs: dict[Name, str] = {}
@@ -185,6 +192,7 @@ class ServoLag(DescriptionModel):
     """The drives' lag from command to motion, as the emulator models it: dead time and second order."""
 
     dead_time_s: NotNegative = 0.012
+    """From a setpoint's arrival at the drives to the first motion."""
     natural_frequency_rad_s: Positive = 167.0
     damping: Positive = 1.0
 
@@ -215,11 +223,13 @@ class RobotDescription(DescriptionModel):
     locked_joints: dict[JointName, FiniteFloat] = {}
     """Joints that this cell holds still, for example a gripper's, and where: in rad or m, as in the URDF."""
     base: Pose = Pose()
+    """Of the robot's base in the world."""
     tool: Tool = Tool()
     hands: dict[Name, Hand] = {}
     """Of a robot with several; a single tool pose is that of the first. Such a robot has no `tool`."""
     camera: Camera | None = None
     attachments: dict[Name, Attachment] = {}
+    """Bodies bolted to its links."""
     mounted_on: tuple[str, ...] = ()
     """Bodies of the structure that the robot's base stands on or hangs from; never checked against it."""
     never_checked: tuple[tuple[str, str], ...] = ()
@@ -227,7 +237,9 @@ class RobotDescription(DescriptionModel):
     servo_lag: ServoLag = ServoLag()
     """Lag of the emulated drives; of a robot on RSI that does not say it, that of its generation of KRC."""
     outputs: tuple[Name, ...] = ()
+    """Digital outputs that users may switch."""
     inputs: tuple[Name, ...] = ()
+    """Digital inputs that states show."""
 
     @model_validator(mode="after")
     def _lags_as_its_krc(self) -> Self:
