@@ -25,7 +25,7 @@ from deltaq_cell.load import load_cell
 from deltaq_deploy.launch.cell_connection import connect
 from deltaq_deploy.launch.program import run_program
 from deltaq_protocol.blocking import BlockingCell
-from deltaq_testing.live_start import live_cell
+from deltaq_testing.live import live_cell
 
 _UP = b"\x1b[A"
 _MOVED_RAD = 1e-4

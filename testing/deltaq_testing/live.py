@@ -5,15 +5,18 @@ from __future__ import annotations
 import os
 import subprocess
 import time
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 import numpy as np
 
 from deltaq_deploy.launch.cell_connection import connect
 from deltaq_deploy.launch.launcher import Launcher
+from deltaq_deploy.launch.services import Role, Service, cell_services
 from deltaq_emulator.states import KrcState
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
@@ -23,9 +26,10 @@ from deltaq_services.phases import MAY_MOVE
 from deltaq_testing.faults.catalogue import PressStop
 from deltaq_testing.faults.controller import CellUseError
 from deltaq_testing.faults.live_inject import Injector, applies_live
-from deltaq_testing.faults.panel import PanelClient, PanelError, pendant_message, recovery
+from deltaq_testing.faults.panel import PanelClient, PanelError, load_rsi_cell, pendant_message, recovery
 from deltaq_testing.observed import Observed, RobotHistory
 from deltaq_testing.oracle import record_cycle_s, rows_of
+from deltaq_testing.private_cell import write_private_cell
 from deltaq_testing.schedule import ScheduleError, TimedFault, checked
 from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 
@@ -257,3 +261,78 @@ def _bring_back(panel: PanelClient) -> None:
 
 def _flipped(status: dict[str, Any]) -> int:
     return int(status["faults"]["to_pc"]["counts"]["flipped"])
+
+
+# Starts a live cell for tests, and ends it.
+
+
+@contextmanager
+def live_cell(folder: Path, cell: str | Path = "lab", robot: str | None = None) -> Iterator[LiveCell]:
+    """Start a cell of real processes on free ports; everything is ended after the block.
+
+    Args:
+        folder: for its file and records.
+        cell: name or file of a cell whose robots are driven over RSI.
+        robot: the one under test; None for the first.
+
+    Raises:
+        UnknownFaultError: the cell has no such robot, or one without a KRC.
+        LaunchError: a process does not come up.
+    """
+    load_rsi_cell(cell, robot)
+    loaded = load_rsi_cell(write_private_cell(folder, cell))
+    description = loaded.model.description
+    records = {name: folder / f"{name}.csv" for name in loaded.model.robots}
+    services = [recorded(service, records) for service in cell_services(description, str(loaded.file))]
+    with ExitStack() as stack:
+        # Ctrl-C ends the tests, whose end ends the cell
+        launcher = stack.enter_context(Launcher(services, lambda *_: None, signals_raise=True))
+        panels = {name: stack.enter_context(PanelClient(description, name)) for name in loaded.model.robots}
+        launcher.start()
+        live = LiveCell(loaded, robot or next(iter(panels)), launcher, panels, records)
+        if not live.recover():
+            raise CellUseError("the robots did not become ready; is the machine busy with other programs?")
+        live.begin()
+        stack.callback(live.end_programs)
+        yield live
+
+
+def recorded(service: Service, records: dict[str, Path]) -> Service:
+    """The service, an emulated controller with the record that it is to write."""
+    if service.role is not Role.EMULATOR or service.robot is None:
+        return service
+    return replace(service, arguments=(*service.arguments, "--record", str(records[service.robot])))
+
+
+class LiveCells:
+    """A context manager, which ends the cell that runs.
+
+    Args:
+        new_folder: makes a folder for the files of a cell.
+    """
+
+    def __init__(self, new_folder: Callable[[], Path]) -> None:
+        self._new_folder = new_folder
+        self._running = ExitStack()
+        self._asked: tuple[str, str | None] | None = None
+        self._cell: LiveCell | None = None
+
+    def __enter__(self) -> Self:
+        """Enter; no cell is started yet."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End the cell that runs."""
+        self._running.close()
+
+    def get(self, cell: str, robot: str | None) -> LiveCell:
+        """A cell with ready robots, the one under test at home; raises as `live_cell` does."""
+        if self._cell is not None and self._asked == (cell, robot) and self._cell.renew():
+            return self._cell
+        self._running.close()
+        self._cell, self._asked = None, None
+        self._cell = self._running.enter_context(live_cell(self._new_folder(), cell, robot))
+        self._asked = cell, robot
+        return self._cell

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
-    from deltaq_testing.live import LiveCell
-    from deltaq_testing.live_start import LiveCells
+    from deltaq_testing.live import LiveCell, LiveCells
     from deltaq_testing.virtual import CellUnderTest
     from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 
@@ -75,7 +74,7 @@ def virtual_cell(
 @pytest.fixture(scope="session")
 def live_cells(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LiveCells]:
     """Keeps the cell of `live_cell` between tests, and ends it with the session."""
-    from deltaq_testing.live_start import LiveCells
+    from deltaq_testing.live import LiveCells
 
     with LiveCells(lambda: tmp_path_factory.mktemp("cell")) as cells:
         yield cells

@@ -13,9 +13,8 @@ from deltaq_cell.anatomy import placed_at_first
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.camera.error import look, view_jacobians
 from deltaq_controllers.camera.escape.arm import EscapingArm, arm_of, clearance, place_boxes
-from deltaq_controllers.camera.escape.follower import EscapePlan, EscapingFollower
+from deltaq_controllers.camera.escape.follower import EscapePlan, EscapingFollower, Pursuit
 from deltaq_controllers.camera.escape.motion import SimulatedView, move
-from deltaq_controllers.camera.escape.pursuit import Pursuit
 from deltaq_controllers.camera.escape.rollout import (
     LENS,
     NOTHING,

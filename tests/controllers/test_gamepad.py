@@ -19,8 +19,7 @@ from deltaq_controllers.live import ControlStatistics
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.gamepad import SETTLE_S, Gamepad, PadButton, StickAxis, Trigger
-from deltaq_controllers.operator_input.interface import DEAD_ZONE
-from deltaq_controllers.operator_input.view_distance import AskedViewDistance
+from deltaq_controllers.operator_input.interface import DEAD_ZONE, AskedViewDistance
 from deltaq_controllers.teleoperation import teleoperate
 from deltaq_protocol.driving import DrivingMode, Grip, OperatorCommand
 from deltaq_protocol.pad_layout import PAD_LAYOUT, PadFunction

@@ -15,8 +15,7 @@ from first_cycles import Leased, Operator, QuietCell, Waits
 
 from deltaq_controllers.live import ControlStatistics, ErrorStatistics
 from deltaq_controllers.modes.teleoperator import Teleoperator
-from deltaq_controllers.operator_input.interface import OperatorInput
-from deltaq_controllers.operator_input.view_distance import AskedViewDistance, stepped
+from deltaq_controllers.operator_input.interface import AskedViewDistance, OperatorInput, stepped
 from deltaq_controllers.teleoperation import DriveLog, SignalLog, Signals, teleoperate
 from deltaq_deploy.command.drive_display import summary
 from deltaq_protocol.driving import OperatorCommand

@@ -14,7 +14,7 @@ import pytest
 from emulated import emulator
 
 from deltaq_cell.load import load_cell
-from deltaq_deploy.launch.real import refuse_unreal
+from deltaq_deploy.launch.prepare import refuse_unreal
 from deltaq_emulator.catalogue import Code
 from deltaq_emulator.settings import KrcSettings
 from deltaq_testing.private_cell import write_private_cell

@@ -3,7 +3,7 @@
 import pytest
 
 # pytester forgets what a run imported, and C extensions cannot be imported twice
-import deltaq_testing.live_start  # noqa: F401
+import deltaq_testing.live  # noqa: F401
 from deltaq_testing.live import LiveCell
 from deltaq_testing.schedule import ScheduleError, fault
 

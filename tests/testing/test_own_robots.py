@@ -14,7 +14,7 @@ from rewritten import rewrite
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.models import RobotModelError
-from deltaq_experiments.replay_plot import panels_of
+from deltaq_experiments.tracking import panels_of
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.recorder.reader import Recording

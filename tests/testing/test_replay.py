@@ -16,8 +16,8 @@ from table import change_row
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_deploy.command.recordings import notices
-from deltaq_experiments.replay_plot import panels_of
 from deltaq_experiments.run_report.run import read_run
+from deltaq_experiments.tracking import panels_of
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import Message, NearestPair, Verdict

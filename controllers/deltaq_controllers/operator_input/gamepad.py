@@ -15,6 +15,7 @@ from typing import Any, Self
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.interface import (
+    AskedViewDistance,
     OperatorInput,
     OutputChoice,
     beyond_dead_zone,
@@ -27,7 +28,6 @@ from deltaq_controllers.operator_input.interface import (
     other_frame,
 )
 from deltaq_controllers.operator_input.keyboard import TURN_RAD_M
-from deltaq_controllers.operator_input.view_distance import AskedViewDistance
 from deltaq_protocol.driving import DrivingMode, Frame, OperatorCommand
 from deltaq_protocol.pad_layout import PAD_LAYOUT, VIEW_STEP_M, PadFunction
 

@@ -245,7 +245,7 @@ class _Choice:
         from deltaq_controllers.operator_input import gamepad, keyboard, spacemouse
 
         if self.device == "gamepad":
-            from deltaq_controllers.operator_input.view_distance import AskedViewDistance
+            from deltaq_controllers.operator_input.interface import AskedViewDistance
 
             print(gamepad.HELP, file=sys.stderr)
             return gamepad.Gamepad(teleoperator, self.speed_m_s, AskedViewDistance(running, self.robot))

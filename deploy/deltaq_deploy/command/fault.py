@@ -71,7 +71,7 @@ def search(
     from deltaq_deploy.command.console import print_json, print_table, progress_bar
     from deltaq_testing.scenario.file import dumped, load_scenario, write_report
     from deltaq_testing.scenario.run import Runner
-    from deltaq_testing.scenario.search import shortest_failure
+    from deltaq_testing.strategies import shortest_failure
 
     scenario, runner = load_scenario(file), Runner(file.resolve().parent)
     with progress_bar(f"schedules of {file.name}") as progress:

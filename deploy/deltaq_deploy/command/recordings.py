@@ -131,7 +131,7 @@ def plot(
 ) -> None:
     """Draw a recording: the paths of the tools, or the paper's figure if the camera on fr follows gr."""
     from deltaq_deploy.command.console import progress_bar
-    from deltaq_experiments.replay_plot import plot as draw
+    from deltaq_experiments.tracking import plot as draw
 
     picture = output or file.with_suffix(".png")
     with progress_bar(f"drawing {file}"):

@@ -124,7 +124,7 @@ def _services(
 def _refuse_unsafe(description: CellDescription, cell: str, services: Sequence[Service], real: bool) -> None:
     """Refuse a cell that cannot be that of real robots, an open realm without tokens, and tokens in the clear."""
     from deltaq_cell.find import find_cell
-    from deltaq_deploy.launch.real import refuse_unreal
+    from deltaq_deploy.launch.prepare import refuse_unreal
     from deltaq_deploy.launch.services import Role
     from deltaq_services.hli.client_roles import client_roles
     from deltaq_services.hli.line_encryption import line_encryption

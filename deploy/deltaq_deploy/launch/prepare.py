@@ -1,4 +1,4 @@
-"""Compiling the gate and the controllers before anything runs that their compiler could make late.
+"""What comes before a launch: compiling the gate and the controllers, and judging the addresses of real robots.
 
 The gate's kernel takes numba a minute or two on a small machine, a camera law up to a minute, driving by hand a quarter
 of one. Beside a running cell that is time in which services share their cores with a compiler, and in which the gate or
@@ -12,18 +12,24 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
-from deltaq_cell.description import CellDescription
+from deltaq_cell.description import CellDescription, RsiDescription
+from deltaq_cell.find import resolve_near
+from deltaq_cell.krc_files import judge_krc_files
 from deltaq_cell.machine_code import TELLS_EACH
 from deltaq_controllers.camera import FOLLOWS
 from deltaq_deploy.launch.child_process import start_with_lines
 from deltaq_deploy.launch.program import LaunchError
 from deltaq_deploy.launch.services import Role, Service
 from deltaq_deploy.launch.warden import Warden
+from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.rsi import load_ethernet_xml
+from deltaq_protocol.rsi.judge import is_any, is_loopback
 
 GATE_COMPILER = ("-m", "deltaq_cell")
 CAMERA_COMPILER = ("-m", "deltaq_controllers.camera")
@@ -160,3 +166,58 @@ def _listen(compiler: subprocess.Popen[str], what: str, on_function: Callable[[s
     if compiler.returncode:
         words = "\n".join(f"  {line}" for line in said if not line.startswith(COMPILES))
         raise LaunchError(f"{what} could not be compiled:\n{words}")
+
+
+# Whether a cell's addresses can be those of real robots, checked before anything listens.
+
+
+class NotRealError(DeltaqError):
+    """A cell that is not ready for real robots; the message has a line for each reason."""
+
+
+def refuse_unreal(cell: CellDescription, file: Path, robots: Iterable[str]) -> None:
+    """Refuse addresses at which no real KRC can be, and files of a KRC that cannot be safe.
+
+    A loopback both in the cell and in the KRC's file is accepted: an emulator that was started by hand.
+
+    Args:
+        cell: the cell.
+        file: its file.
+        robots: those whose Robot Server is to run here.
+
+    Raises:
+        NotRealError: with every reason.
+        EthernetConfigError: a `*_ethernet.xml` cannot be read.
+    """
+    if reasons := [reason for name in robots for reason in _reasons(cell, file, name)]:
+        raise NotRealError("\n".join(["this cell is not ready for real robots:", *reasons]))
+
+
+def _reasons(cell: CellDescription, file: Path, name: str) -> Iterator[str]:
+    robot = cell.robots[name]
+    driver = robot.driver
+    if not isinstance(driver, RsiDescription):
+        return
+    where = f"robots.{name}.driver"
+    config = load_ethernet_xml(resolve_near(file, driver.ethernet_xml))
+    if is_loopback(driver.address):
+        if is_loopback(config.ip_number):
+            return
+        yield (
+            f"{where}.address: {driver.address} is this machine's own, and no KRC reaches it; {config.source} lets the "
+            f"KRC send to {config.ip_number}: write that, if it is this machine's address on the robot's network"
+        )
+    if driver.krc_address is None:
+        yield (
+            f"{where}.krc_address: is missing: any host's datagram would be taken for the KRC's; write the KRC's "
+            "address on the robot's network"
+        )
+    elif is_loopback(driver.krc_address) or is_any(driver.krc_address):
+        yield (
+            f"{where}.krc_address: {driver.krc_address} is no address of a KRC; write the one on the robot's network"
+        )
+    elif driver.krc_address == driver.address:
+        yield f"{where}.krc_address: {driver.krc_address} is this machine's own, as driver.address says"
+    for finding in judge_krc_files(file, robot, cell.cycle_s):
+        if finding.severity == "error":
+            yield f"{'.'.join((where, *finding.field))}: {finding}"

@@ -32,7 +32,7 @@ from deltaq_testing.faults.catalogue import (
 from deltaq_testing.faults.panel import PanelClient
 from deltaq_testing.impairment.relay import TrafficUnit
 from deltaq_testing.impairment.stream import StreamFaults
-from deltaq_testing.live_start import recorded
+from deltaq_testing.live import recorded
 from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 from deltaq_testing.virtual_cell.parts import Link, Process
 from studies.live_faults.clocks import SettableClocks

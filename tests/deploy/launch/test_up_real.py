@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from deltaq_cell.find import find_cell, resolve_near
 from deltaq_cell.load import load_cell
 from deltaq_deploy.command.app import app
-from deltaq_deploy.launch.real import NotRealError, refuse_unreal
+from deltaq_deploy.launch.prepare import NotRealError, refuse_unreal
 
 
 def cell_file(folder: Path, driver: str, ip_number: str = "192.168.10.10", robot: str = "fr") -> Path:
