@@ -88,6 +88,12 @@ class Robot(BlockingRobot):
         """Move the tool along a straight line [m]; see `deltaq.aio.Robot.move_tool`."""
         return self._background.run(self._moving.move_tool(dx, dy, dz, speed, axes))
 
+    def run_routine(
+        self, routine: str, equipment: str = "", *, first: int = 0, **numbers: float
+    ) -> dict[str, Any]:
+        """Run a routine on an item of the cell's equipment; see `deltaq.aio.Robot.run_routine`."""
+        return self._background.run(self._moving.run_routine(routine, equipment, first=first, **numbers))
+
     def run(self, controller: Controller) -> None:
         """Answer each state with `controller.increment(view)`, in another thread; see `deltaq.aio.Robot.run`."""
         self._background.run(self._moving.run(controller))

@@ -6,10 +6,11 @@ await robot.move_to([-2.0, -0.6, -1.4, 2.4, 1.5, 0.3], speed=0.2)
 
 from __future__ import annotations
 
+import asyncio
 import os
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +21,7 @@ from deltaq_controllers.answers import Answers, own_view, view_ahead
 from deltaq_controllers.interface import Controller
 from deltaq_protocol import client
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.errors import ServiceUnreachableError
+from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
 from deltaq_protocol.in_flight import InFlight, is_awaited
 from deltaq_protocol.leased_robot import LeasedRobot
 from deltaq_protocol.messages import IoReply, Phase, RobotState, RobotSummary, Verdict
@@ -153,6 +154,35 @@ class Robot:
                 if asked is None:
                     return
                 await answers.send(state, cycle, increment_of(self.summary, asked))
+
+    async def run_routine(
+        self, routine: str, equipment: str = "", *, first: int = 0, **numbers: float
+    ) -> dict[str, Any]:
+        """Run a routine on an item of the cell's equipment; it needs `deltaq[cell]`.
+
+        Args:
+            routine: its name (`deltaq routine list`), or a YAML file.
+            equipment: the item; empty where the routine needs none.
+            first: index of the step to begin with: the `place` of the report of a run that did not end.
+            numbers: parameters of the routine.
+
+        Returns:
+            The report: `outcomes` has each step with its time, clearance and what the camera saw.
+
+        Raises:
+            RoutineError: the routine cannot be done here, or did not end as it should: its text says at which step and
+                why, and its `report` has the rest.
+            RefusedError: the lease was lost.
+            ServiceUnreachableError: the server is gone.
+            DeltaqError: `deltaq[cell]` is not installed.
+        """
+        try:
+            from deltaq_controllers.routines.shell import LiveRoutine
+        except ModuleNotFoundError as error:
+            raise DeltaqError(f"{error.name} is not installed: pip install 'deltaq[cell]'") from None
+        live = await asyncio.to_thread(LiveRoutine, self._cell, routine, equipment, self.name, first, numbers)
+        await live.drive(self.leased)
+        return live.done()
 
     async def io(self, outputs: Mapping[str, bool] | None = None) -> IoReply:
         """Set digital outputs, and read all; see `deltaq_protocol.leased_robot.LeasedRobot.io`."""

@@ -196,12 +196,14 @@ class PlannedMotion:
         path: (P, n) configurations.
         clearance: of the tightest pair on it; pairs that may touch do not count.
         duration_s: without anything that slows it down.
+        first: (n,) its first increment [rad or m].
         teleoperator: drives along it, as option 1.
     """
 
     path: Array
     clearance: Clearance
     duration_s: float
+    first: Array
     teleoperator: Teleoperator
 
 
@@ -427,8 +429,9 @@ class RoutinePlanner:
             DrivingMode.ADVISOR: lambda robot: AdvisorMode(robot, self._cycle_s, answered, pace),
         }
         driver = Teleoperator(self._robot, self._cycle_s, DrivingMode.ADVISOR, modes=modes)
-        cycles = len(timed(path, self._tracker, self._cycle_s, hands_move=True))
-        return PlannedMotion(path, tightest, cycles * self._cycle_s / pace, driver)
+        setpoints = timed(path, self._tracker, self._cycle_s, hands_move=True)
+        first = pace * (setpoints[min(1, len(setpoints) - 1)] - setpoints[0])
+        return PlannedMotion(path, tightest, len(setpoints) * self._cycle_s / pace, first, driver)
 
 
 def unreachable(cell: CellModel) -> dict[str, str]:

@@ -33,7 +33,15 @@ Number = FiniteFloat | str
 
 
 class RoutineError(ControllerError):
-    """A routine that is not well formed, or cannot be done on that item of equipment."""
+    """A routine that is not well formed, cannot be done on that item of equipment, or did not end as it should.
+
+    Attributes:
+        report: of the run; empty if there was none.
+    """
+
+    def __init__(self, message: str, report: dict[str, Any] | None = None) -> None:
+        super().__init__(message)
+        self.report = report or {}
 
 
 class _Part(BaseModel):

@@ -45,6 +45,7 @@ class RunEnd(StrEnum):
     HELD = "held"
     LEFT = "left"
     ABORTED = "aborted"
+    PLANNED = "planned"
 
 
 @dataclass(frozen=True)
@@ -281,6 +282,9 @@ class RoutineRun:
 
     @property
     def _because(self) -> str:
+        waits = self._step.step.wait_for
+        if waits is not None and waits.sight is not None and self._at.sight is None:
+            return " (no camera looks at it; start one with `deltaq camera follow`)"
         why = self._at.limit or (f"the camera's sight is {self._at.sight}" if self._at.sight else "")
         return f" ({why})" if why else ""
 

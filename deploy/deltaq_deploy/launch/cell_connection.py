@@ -89,15 +89,25 @@ def connect(cell: CellDescription | Where, client: str, token: str | None = None
         UnknownRobotError: it has no such robot.
     """
     with blocking.connect(cell.hli, client, token) as running:
-        if cell.cell is not None and running.description.cell != cell.cell:
-            raise OtherCellError(
-                f"{cell.hli} serves cell {running.description.cell}, not {cell.cell}; name the right one with --cell"
-            )
-        if isinstance(cell, CellDescription):
-            _compare(cell, running.description)
-        else:
-            known_robot(running.description, cell.robot)
+        check_same(cell, running.description)
         yield running
+
+
+def check_same(cell: CellDescription | Where, running: Description) -> None:
+    """Check that the cell that runs is the one that is meant.
+
+    Raises:
+        OtherCellError: it is another cell, or has read another description of it.
+        UnknownRobotError: it has no such robot.
+    """
+    if cell.cell is not None and running.cell != cell.cell:
+        raise OtherCellError(
+            f"{cell.hli} serves cell {running.cell}, not {cell.cell}; name the right one with --cell"
+        )
+    if isinstance(cell, CellDescription):
+        _compare(cell, running)
+    else:
+        known_robot(running, cell.robot)
 
 
 def _compare(cell: CellDescription, running: Description) -> None:

@@ -1,0 +1,266 @@
+"""Runs a routine on a running cell: the shell of the interpreter, and the record of runs."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.answers import Answers
+from deltaq_controllers.interface import View
+from deltaq_controllers.live import cell_model, where_others_are
+from deltaq_controllers.modes.practice import practise
+from deltaq_controllers.routines.planner import (
+    PlannedMotion,
+    PlanRequest,
+    RoutinePlanner,
+    lines_after,
+    view_asked,
+)
+from deltaq_controllers.routines.routine import Job, RoutineError, job_for
+from deltaq_controllers.routines.run import (
+    AllowRequest,
+    RoutineAnswer,
+    RoutineRequest,
+    RoutineRun,
+    RunEnd,
+    SeenCycle,
+    StepOutcome,
+    SwitchRequest,
+)
+from deltaq_protocol.client import Cell
+from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.leased_robot import LeasedRobot
+from deltaq_protocol.messages import Phase, RobotState
+from deltaq_protocol.reasons import EXPLANATIONS
+
+MOST_LINES = 1000
+"""Runs that are kept in a cell's record."""
+
+
+class LiveRoutine:
+    """A routine on a running cell.
+
+    Args:
+        cell: connection to the cell.
+        routine: its name, or a YAML file.
+        equipment: the item; empty if the routine needs none.
+        robot: the robot; empty for the one that the item names, or that the camera watches.
+        first: index of the step to begin with.
+        numbers: parameters of the routine.
+
+    Attributes:
+        job: the routine, resolved.
+        run: its interpreter.
+
+    Raises:
+        RoutineError: it cannot be done in this cell.
+    """
+
+    def __init__(
+        self,
+        cell: Cell,
+        routine: str | Path,
+        equipment: str = "",
+        robot: str = "",
+        first: int = 0,
+        numbers: Mapping[str, float] | None = None,
+    ) -> None:
+        self._cell, self._source, self._allowed = cell, str(routine), ""
+        self._model: CellModel = cell_model(cell.description)
+        description = self._model.description
+        self.job: Job = job_for(description, routine, equipment, robot, **(numbers or {}))
+        if not 0 <= first < len(self.job.steps):
+            raise RoutineError(
+                f"step {first + 1}: {self.job.routine} has {len(self.job.steps)} steps; the run is over"
+            )
+        self._planner = RoutinePlanner(self._model, self.job)
+        self._others = where_others_are(cell, self.job.robot)
+        model = self._model.robots[self.job.robot]
+        self.run = RoutineRun(self.job, model, description.gate.servo_lag_s, description.cycle_s, first)
+
+    async def drive(self, leased: LeasedRobot, watch: Callable[[RoutineRun], None] = lambda _: None) -> None:
+        """Drive the robot until the run is over; the contact is forbidden then, and the run recorded.
+
+        Args:
+            leased: the robot of the job.
+            watch: called with the run in every cycle.
+
+        Raises:
+            RefusedError: the lease was lost.
+            ServiceUnreachableError: the HLI is gone.
+        """
+        carrying: asyncio.Task[RoutineAnswer] | None = None
+        try:
+            answers, before = Answers(self._cell, leased), None
+            async for state in leased.states():
+                cycles = await answers.due(state)
+                stood, before = before == state.q_cmd, state.q_cmd
+                if carrying is not None and carrying.done():
+                    self.run.take(carrying.result())
+                    carrying = None
+                for cycle in cycles:
+                    view = answers.view(state)
+                    rests = stood and state.q_cmd == tuple(view.own.q_cmd.tolist())
+                    out = self.run.advance(self._seen(state, view, rests))
+                    if isinstance(out, RoutineRequest):
+                        carrying = asyncio.create_task(self._carried_out(leased, out))
+                    elif out is not None:
+                        await answers.send(state, cycle, out)
+                for verdict in answers.verdicts():
+                    self.run.take_verdict(verdict)
+                watch(self.run)
+                if self.run.end is not None:
+                    return
+        finally:
+            if carrying is not None:
+                carrying.cancel()
+            if self._allowed:
+                with suppress(DeltaqError):
+                    await self._cell.allow_contact(self._allowed, allowed=False)
+            self._record()
+
+    async def rehearse(self) -> dict[str, Any]:
+        """Plan every motion from where the robot is, nothing moving; the report, with the gate's first verdict.
+
+        Raises:
+            RoutineError: a motion cannot be planned.
+        """
+        robot = self.job.robot
+        async for state in self._cell.states(robot):
+            q, touching, gate = np.array(state.q_cmd), False, ""
+            break
+        for number, plain in enumerate(self.job.steps):
+            touching = touching if plain.step.contact is None else plain.step.contact == "allow"
+            if plain.step.move_to is None and plain.step.move_tool is None:
+                continue
+            ahead = lines_after(self.job.steps, number, touching)
+            planned = await asyncio.to_thread(
+                self._planner.plan, PlanRequest(plain, q, touching, ahead), self._others()
+            )
+            if not gate:
+                verdict = await self._cell.dry_run(robot, planned.first)
+                gate = f"{verdict.outcome}, {verdict.scale:.0%} of the first increment"
+            q = planned.path[-1]
+            near = planned.clearance
+            outcome = StepOutcome(
+                number + 1, plain.text, RunEnd.PLANNED, planned.duration_s, "", near.distance_m, near.pair
+            )
+            self.run.outcomes.append(outcome)
+        self.run.end = RunEnd.PLANNED
+        return self.report() | {"gate": gate}
+
+    def _seen(self, state: RobotState, view: View, rests: bool) -> SeenCycle:
+        held = ""
+        if state.phase is Phase.HELD:
+            held = "held" if state.reason is None else f"{state.reason.value}: {EXPLANATIONS[state.reason]}"
+        looking = None if self.job.camera is None else self._cell.state(self.job.camera)
+        target = None if looking is None else looking.target
+        return SeenCycle(
+            view,
+            rests,
+            held,
+            None if looking is None else looking.sight,
+            target is not None and target.focus_m is not None,
+        )
+
+    async def _carried_out(self, leased: LeasedRobot, request: RoutineRequest) -> RoutineAnswer:
+        try:
+            if isinstance(request, PlanRequest):
+                return await asyncio.to_thread(self._planned, request)
+            if isinstance(request, SwitchRequest):
+                return dict((await leased.io(request.outputs)).inputs)
+            if isinstance(request, AllowRequest):
+                # noted first: the run may end before the answer comes
+                self._allowed = request.contact
+                await self._cell.allow_contact(request.contact, request.allowed)
+                self._allowed = request.contact if request.allowed else ""
+            elif self.job.camera is not None:
+                wish = view_asked(self._model, self.job, request.at_equipment)
+                await self._cell.view(self.job.camera, wish.distance_m, targets=wish.targets)
+        except RoutineError as error:
+            return error
+        except DeltaqError as error:
+            return RoutineError(str(error))
+        return None
+
+    def _planned(self, request: PlanRequest) -> PlannedMotion:
+        planned = self._planner.plan(request, self._others())
+        practise(planned.teleoperator)  # a first motion that compiles something would cost cycles
+        return planned
+
+    def done(self) -> dict[str, Any]:
+        """The report of a run that is done.
+
+        Raises:
+            RoutineError: the run ended otherwise; the error has the report.
+        """
+        report = self.report()
+        if self.run.end is not RunEnd.DONE:
+            raise RoutineError(f"{self.job.routine}: {report['end']} at {self.run.why}", report)
+        return report
+
+    def report(self) -> dict[str, Any]:
+        """The run as a JSON object."""
+        job, run = self.job, self.run
+        return {
+            "time": datetime.now(UTC).isoformat(timespec="seconds"),
+            "cell": self._cell.description.cell,
+            "routine": job.routine,
+            "source": self._source,
+            "equipment": job.equipment or None,
+            "robot": job.robot,
+            "numbers": job.numbers,
+            "end": None if run.end is None else run.end.value,
+            "why": run.why or None,
+            "place": run.place,
+            "steps": len(job.steps),
+            "outcomes": [outcome.as_dict() for outcome in run.outcomes],
+        }
+
+    def _record(self) -> None:
+        file = record_file(self._cell.description.cell)
+        with suppress(OSError):  # a robot that has moved is no worse for a full disk
+            file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
+            kept = [*lines[1 - MOST_LINES :], json.dumps(self.report())]
+            file.write_text("\n".join(kept) + "\n", encoding="utf-8")
+
+
+def record_file(cell: str) -> Path:
+    """Where the runs of a cell's routines are kept, a JSON object a line."""
+    given = os.environ.get("XDG_STATE_HOME")
+    folder = Path(given) if given else Path.home() / ".local" / "state"
+    return folder / "deltaq" / f"routines-{cell}.jsonl"
+
+
+def runs_of(cell: str) -> list[dict[str, Any]]:
+    """The recorded runs of a cell, the oldest first."""
+    file = record_file(cell)
+    if not file.exists():
+        return []
+    return [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
+
+
+def unfinished(cell: str, robot: str = "") -> dict[str, Any]:
+    """The last run of a cell, or of a robot of it, if it can be taken up.
+
+    Raises:
+        RoutineError: there is none.
+    """
+    runs = [run for run in runs_of(cell) if robot in ("", run["robot"])]
+    if not runs:
+        raise RoutineError(f"no routine has been run in cell {cell}{f' by {robot}' if robot else ''}")
+    last = runs[-1]
+    if not last["place"] < last["steps"]:
+        what = f"{last['routine']} {last['equipment'] or ''}".strip()
+        raise RoutineError(f"nothing to resume: the last run, {what}, ended: {last['end']}")
+    return last
