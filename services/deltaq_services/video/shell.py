@@ -34,8 +34,9 @@ _log = logging.getLogger(__name__)
 _OPENS_WITHIN_S, _READS_WITHIN_S = 5.0, 3.0
 _WAIT_S = 1.0
 """After which a reader that asks is told why no picture comes."""
-_LATE_S, _TOO_LATE_S = 0.3, 1.0
-"""A decoder that is so late leaves out what no other picture needs, and all until the next whole picture."""
+_LATE_S, _TOO_LATE_S = 0.15, 1.0
+"""A decoder that is so late leaves out what no other picture needs, and all until the next whole picture. Where each
+picture is whole, it leaves out all as soon as it is late."""
 _NO_PICTURE_S = 10.0
 _LASTS_S = 10.0
 """A source that lasted so long is tried again soon."""
@@ -190,7 +191,8 @@ class Capture:
                 late_s = 0.0
                 if stamp is not None and packet.time_base is not None:
                     late_s = now_s - clock.due_s(float(stamp * packet.time_base), now_s)
-                skips = (skips and not packet.is_keyframe) or late_s > _TOO_LATE_S
+                bound_s = _LATE_S if decoder.codec.intra_only else _TOO_LATE_S
+                skips = (skips and not packet.is_keyframe) or late_s > bound_s
                 if skips:
                     continue
                 decoder.skip_frame = "NONREF" if late_s > _LATE_S else "DEFAULT"
