@@ -9,7 +9,6 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from types import TracebackType
 from typing import Any, Self
 
 from deltaq_controllers.interface import ControllerError
@@ -221,9 +220,7 @@ class PadDevice:
             raise ControllerError(_nothing_found(others))
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Give SDL back."""
         self._close()
 
@@ -403,8 +400,6 @@ class Gamepad(OperatorInput):
         self._device.__enter__()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Give the device back."""
-        self._device.__exit__(kind, error, trace)
+        self._device.__exit__()

@@ -12,7 +12,6 @@ import sys
 import termios
 import tty
 from contextlib import suppress
-from types import TracebackType
 from typing import Any, Self
 
 from deltaq_controllers.interface import ControllerError
@@ -225,9 +224,7 @@ class Keyboard(OperatorInput):
         tty.setcbreak(self._file)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Restore the terminal, and drop unread keys: they are not for the shell."""
         if self._saved is not None:
             with suppress(termios.error):  # the terminal was closed

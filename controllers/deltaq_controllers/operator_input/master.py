@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from types import TracebackType
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -314,7 +313,5 @@ class LedInput(OperatorInput):
         self._device.__enter__()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._device.__exit__(kind, error, trace)
+    def __exit__(self, *_: object) -> None:
+        self._device.__exit__()

@@ -6,7 +6,6 @@ import struct
 from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from types import TracebackType
 from typing import Any, Self
 
 from deltaq_controllers.interface import ControllerError
@@ -322,8 +321,6 @@ class SpaceMouse(OperatorInput):
             self._entered = self._entered.pop_all()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Give both back."""
-        self._entered.__exit__(kind, error, trace)
+        self._entered.close()

@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any, Self
 
 from deltaq_deploy.launch.child_process import Child, Exited, Lifeline, Ready
@@ -140,9 +140,7 @@ class Launcher:
                 self._handlers[number] = signal.signal(number, self._interrupt)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._signals_raise = False  # nothing keeps the robots from coming to rest
         try:
             self.stop()

@@ -9,7 +9,6 @@ import socket
 import time
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping
-from types import TracebackType
 from typing import Self
 
 from deltaq_cell.description import RsiDescription
@@ -80,9 +79,7 @@ class KrcSocket:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._sock.close()
 
     @property
