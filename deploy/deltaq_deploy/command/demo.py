@@ -5,11 +5,23 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import asdict
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deltaq_deploy.command.console import (
+    console,
+    counts,
+    flat,
+    prefixed_log,
+    print_json,
+    print_table,
+    shown_compiled_ahead,
+)
 from deltaq_deploy.command.options import CellOption, ConsoleOption, JsonOption
+from deltaq_deploy.command.up import tell_of_console
 from deltaq_deploy.launch import BAD
 
 if TYPE_CHECKING:
@@ -41,11 +53,8 @@ def demo(
 ) -> None:
     """Start an emulated cell; a scripted leader moves one arm, and the other follows it with its camera."""
     import webbrowser
-    from functools import partial
 
     from deltaq_cell.load import load_cell
-    from deltaq_deploy.command.console import console, prefixed_log, print_json, shown_compiled_ahead
-    from deltaq_deploy.command.up import tell_of_console
     from deltaq_deploy.launch.bring_to_rest import bring_to_rest
     from deltaq_deploy.launch.launcher import Launcher
     from deltaq_deploy.launch.prepare import needed_by
@@ -126,7 +135,6 @@ def _wait(
     """
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from deltaq_deploy.command.up import tell_of_console
     from deltaq_deploy.launch.child_process import Exited, Ready
     from deltaq_deploy.launch.launcher import Interrupted, describe_exit
 
@@ -176,8 +184,6 @@ def summarise(
     tracking: dict[str, Any] | None,
 ) -> dict[str, Any]:
     """The figures of a demonstration, as `--json` prints them, from the statuses at its begin and at its end."""
-    from dataclasses import asdict
-
     return {
         "cell": cell.cell,
         "cycle_s": cell.cycle_s,
@@ -246,7 +252,6 @@ def _followed(tracking: dict[str, Any] | None) -> str:
 
 def show(summary: dict[str, Any]) -> None:
     """Print figures and counters."""
-    from deltaq_deploy.command.console import counts, flat, print_table
 
     def ms(value: float | None) -> str | None:
         return None if value is None else f"{value * 1000:.2f}"

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import signal
 import sys
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deltaq_deploy.command.console import print_json
 from deltaq_deploy.command.options import (
     CellOption,
     CriterionOption,
@@ -22,6 +24,7 @@ from deltaq_deploy.command.options import (
     weights_of,
 )
 from deltaq_deploy.launch import BAD
+from deltaq_protocol.errors import DeltaqError
 
 if TYPE_CHECKING:
     from contextlib import ExitStack
@@ -86,9 +89,6 @@ def drive(
     json: JsonOption = False,
 ) -> None:
     """Drive a robot by hand or by script; however the drive ends, the robot comes to rest and is released."""
-    from contextlib import ExitStack
-
-    from deltaq_deploy.command.console import print_json
     from deltaq_deploy.command.drive_display import show
     from deltaq_deploy.launch.cell_connection import described, known_robot
 
@@ -173,7 +173,6 @@ class _Choice:
 
     async def _drive(self, terminal: ExitStack) -> tuple[dict[str, Any], DeltaqError | None]:
         import asyncio
-        from contextlib import ExitStack
 
         from deltaq_controllers.live import ControlStatistics
         from deltaq_controllers.teleoperation import DriveLog, SignalLog, teleoperate, teleoperator_for
@@ -181,7 +180,6 @@ class _Choice:
         from deltaq_deploy.launch.cell_connection import OtherCellError
         from deltaq_protocol import connect
         from deltaq_protocol.driving import DrivingMode, Frame
-        from deltaq_protocol.errors import DeltaqError
 
         async with connect(self.cell.hli, client="deltaq drive") as running:
             if running.description.cell != self.cell.cell:

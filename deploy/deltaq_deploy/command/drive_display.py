@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from deltaq_controllers.advisor.advisor import NOT_LOOKED_FOR
 from deltaq_controllers.modes.advisor import AdvisorMode
+from deltaq_deploy.command.console import counts, print_table
 from deltaq_protocol.driving import DrivingMode, Grip
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
 from deltaq_protocol.reasons import ReasonCode
@@ -65,8 +66,6 @@ def _told(error: DeltaqError) -> dict[str, Any]:
 
 def show(summary: dict[str, Any]) -> None:
     """Print the drive as a table."""
-    from deltaq_deploy.command.console import counts, print_table
-
     rows = [
         (
             leg["mode"] if leg["object"] is None else f"{leg['mode']}, object",

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deltaq_deploy.command.console import print_json, print_table, progress_bar
 from deltaq_deploy.command.options import CellOption, JsonOption, RobotOption
 from deltaq_deploy.launch import BAD
 
@@ -31,7 +34,6 @@ def run(
     json: JsonOption = False,
 ) -> None:
     """Run scenarios in virtual time: faults for your controller; exit status 1 if an expectation was not met."""
-    from deltaq_deploy.command.console import print_json, print_table
     from deltaq_testing.scenario.file import load_scenario, write_report
     from deltaq_testing.scenario.page import junit_xml
     from deltaq_testing.scenario.run import Runner
@@ -68,7 +70,6 @@ def search(
     json: JsonOption = False,
 ) -> None:
     """Look for faults under which a scenario fails, and shrink them; exit status 1 if there are any."""
-    from deltaq_deploy.command.console import print_json, print_table, progress_bar
     from deltaq_testing.scenario.file import dumped, load_scenario, write_report
     from deltaq_testing.scenario.run import Runner
     from deltaq_testing.strategies import shortest_failure
@@ -178,7 +179,6 @@ def impair(
     It ends with the program that started it.
     """
     import asyncio
-    import contextlib
 
     from deltaq_deploy.launch.child_process import while_parent_lives
     from deltaq_protocol.endpoint import Endpoint
@@ -226,9 +226,6 @@ def soak(
     json: JsonOption = False,
 ) -> None:
     """Inject fault after fault into a cell of real processes; Ctrl-C ends the soak and writes the report so far."""
-    import tempfile
-
-    from deltaq_deploy.command.console import print_json
     from deltaq_testing.scenario.file import must_be_folder, write_report
     from deltaq_testing.soak import SoakRound, figure_of, run_soak
 
@@ -256,7 +253,6 @@ def soak(
 
 def list_faults(json: JsonOption = False) -> None:
     """List all faults."""
-    from deltaq_deploy.command.console import print_json, print_table
     from deltaq_testing.faults.catalogue import CATALOGUE
 
     if json:
@@ -289,7 +285,6 @@ def table(
     markdown: Annotated[bool, typer.Option("--markdown", help="Print a table for a document.")] = False,
 ) -> None:
     """Inject faults into a moving robot, one by one; exit status 1 if a limit was passed or it never moved again."""
-    from deltaq_deploy.command.console import print_json, print_table, progress_bar
     from deltaq_testing.faults import table as fault_table
     from deltaq_testing.faults.catalogue import CATALOGUE, fault_named
 
@@ -318,7 +313,6 @@ def inject(
 ) -> None:
     """Inject a fault into a running emulated cell, through the panel of the robot's emulated controller."""
     from deltaq_cell.load import load_cell
-    from deltaq_deploy.command.console import print_json
     from deltaq_deploy.launch.cell_connection import known_robot
     from deltaq_testing.faults.catalogue import fault_named
     from deltaq_testing.faults.panel import inject as run

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import os
+from dataclasses import asdict, replace
+from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deltaq_deploy.command.console import print_json, print_table
 from deltaq_deploy.command.options import CellOption, JsonOption
+from deltaq_deploy.command.streams import by_name
 from deltaq_deploy.launch import BAD
 
 if TYPE_CHECKING:
@@ -66,10 +71,8 @@ def keys(
     if secret:
         _make_secret(output, keep)
         return
-    from datetime import timedelta
 
     from deltaq_cell.load import load_cell
-    from deltaq_deploy.command.console import print_json
     from deltaq_protocol.certified.authority import make_identities
     from deltaq_protocol.certified.certificate import now_utc
     from deltaq_protocol.certified.names import IDENTITY, IdentityKind, name_of
@@ -115,7 +118,6 @@ def check(
 ) -> None:
     """Check the description of a cell; name file, line, field, value and bound of every error."""
     from deltaq_cell.check import check_cell
-    from deltaq_deploy.command.console import print_json
 
     report, equipment = _with_equipment(_with_identity(check_cell(cell)))
     if json:
@@ -150,9 +152,6 @@ def _show_never_checked(report: CheckReport) -> None:
 
 def _with_identity(report: CheckReport) -> CheckReport:
     """The same findings, with the faults of the identity that the environment names."""
-    import os
-    from dataclasses import replace
-
     from deltaq_cell.load import load_cell
     from deltaq_cell.problems import Problem
     from deltaq_protocol.certified.names import IDENTITY
@@ -169,8 +168,6 @@ def _with_identity(report: CheckReport) -> CheckReport:
 
 def _with_equipment(report: CheckReport) -> tuple[CheckReport, dict[str, str]]:
     """The same findings, with the equipment that its robot cannot work on; and the kind of each item by name."""
-    from dataclasses import replace
-
     from deltaq_cell.cell_model import CellModel
     from deltaq_cell.load import load_located
     from deltaq_cell.yaml_tree import PlacedProblems
@@ -195,7 +192,6 @@ def schema(
     """Print the JSON Schema of every message, enough to write a controller in another language."""
     import json
 
-    from deltaq_deploy.command.streams import by_name
     from deltaq_protocol.topics import TOPICS
 
     chosen = TOPICS if topic is None else (by_name(topic),)
@@ -236,10 +232,7 @@ def _make_secret(file: Path, keep: bool) -> None:
 
 def doctor(cell: CellOption = "lab", json: JsonOption = False) -> None:
     """Report whether this machine is fit to run a cell, and what would improve it."""
-    from dataclasses import asdict
-
     from deltaq_cell.load import load_cell
-    from deltaq_deploy.command.console import print_json, print_table
     from deltaq_deploy.launch.doctor import Rating, examine
 
     findings = examine(load_cell(cell), cell)

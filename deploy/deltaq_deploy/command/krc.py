@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deltaq_deploy.command.console import print_json, print_table
 from deltaq_deploy.command.options import CellOption, JsonOption, RobotOption
 from deltaq_deploy.launch import BAD, UNREACHABLE
 
@@ -84,7 +86,6 @@ def _numbers(pairs: list[str]) -> dict[str, int]:
 
 
 def _tell(plan: KrcPlan, files: tuple[KrcFile, ...], folder: Path, json: bool) -> None:
-    from deltaq_deploy.command.console import print_json
     from deltaq_deploy.krc.files import notes_on
     from deltaq_deploy.krc.plan import written_for
 
@@ -205,9 +206,6 @@ def _say(address: str, port: int, json: bool) -> None:
 
 
 def _report(summary: Summary, address: str, port: int, json: bool, refusals: dict[str, int]) -> None:
-    from dataclasses import asdict
-
-    from deltaq_deploy.command.console import print_json, print_table
 
     hints = _hints(address, port) if not summary.peers else ()
     if json:

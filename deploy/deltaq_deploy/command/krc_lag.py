@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from deltaq_deploy.command.console import print_json, print_table
 from deltaq_deploy.command.options import CellOption, JsonOption, RobotOption, TokenOption, UrlOption
 from deltaq_deploy.launch import BAD
 from deltaq_protocol.errors import DeltaqError
@@ -118,7 +119,6 @@ def _report(
     robot: str, measured: dict[str, MeasuredAxis], presumed_s: float | None, cycle_s: float, json: bool
 ) -> None:
     from deltaq_cell.drive_lag import REMAINDER, lag_fault, least_servo_lag_s
-    from deltaq_deploy.command.console import print_json, print_table
 
     settled_s = [one.lag.settled_s for one in measured.values()]
     moving_s = [one.moving_s for one in measured.values()]

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import math
+import time
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from deltaq_controllers.camera import FOLLOWS
+from deltaq_deploy.command.console import print_json, shown_compiled_ahead
 from deltaq_deploy.command.options import (
     CellOption,
     ControllerOption,
@@ -16,6 +19,7 @@ from deltaq_deploy.command.options import (
     TokenOption,
     UrlOption,
 )
+from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 
 if TYPE_CHECKING:
     from deltaq_protocol.messages import LeaseStatus, ViewReply, ViewTarget, ViewWish
@@ -24,10 +28,8 @@ if TYPE_CHECKING:
 def stop(cell: CellOption = "lab", url: UrlOption = None, json: JsonOption = False) -> None:
     """Bring every robot of the cell to rest; each is held until it is reset. Anyone may."""
     from deltaq_cell.load import load_cell
-    from deltaq_deploy.command.console import print_json
     from deltaq_deploy.launch.bring_to_rest import stop_over_a_line
     from deltaq_deploy.launch.cell_connection import Where, connect
-    from deltaq_protocol.errors import ServiceUnreachableError
 
     try:
         with connect(Where.of(cell, url), "deltaq stop") as running:
@@ -54,9 +56,7 @@ def reset(
     json: JsonOption = False,
 ) -> None:
     """End the hold of every robot of the cell, or of one; refused while its cause persists."""
-    from deltaq_deploy.command.console import print_json
     from deltaq_deploy.launch.cell_connection import Where, connect
-    from deltaq_protocol.errors import RefusedError
 
     refused: list[RefusedError] = []
     with connect(Where.of(cell, url, robot), "deltaq reset", token) as running:
@@ -94,8 +94,6 @@ def lease(
     json: JsonOption = False,
 ) -> None:
     """Show who holds the lease of a robot, or take it away."""
-    import time
-
     from deltaq_deploy.launch.cell_connection import Where, connect
 
     if take and release:
@@ -116,7 +114,6 @@ def lease(
 
 
 def _show(robot: str, held: LeaseStatus, json: bool) -> None:
-    from deltaq_deploy.command.console import print_json
 
     if json:
         print_json({"robot": robot} | held.model_dump(mode="json"))
@@ -137,7 +134,6 @@ def io(
     json: JsonOption = False,
 ) -> None:
     """Show digital outputs and inputs of a robot, or set outputs; refused while another client has its lease."""
-    from deltaq_deploy.command.console import print_json
     from deltaq_deploy.launch.cell_connection import Where, connect
 
     asked = dict(_switched(each) for each in outputs or ())
@@ -175,7 +171,6 @@ def contact(
     json: JsonOption = False,
 ) -> None:
     """Allow a contact of the cell, at its own low speed, or list the contacts."""
-    from deltaq_deploy.command.console import print_json
     from deltaq_deploy.launch.cell_connection import connect, described
 
     description = described(cell, url, "deltaq contact")
@@ -206,10 +201,7 @@ def dry_run(
     json: JsonOption = False,
 ) -> None:
     """Ask for the gate's verdict on an increment; nothing moves. Exit status 1 unless all of it would be admitted."""
-    import math
-
     from deltaq_cell.load import load_cell
-    from deltaq_deploy.command.console import print_json
     from deltaq_deploy.launch.cell_connection import Where, connect
     from deltaq_protocol.messages import Outcome
 
@@ -272,7 +264,6 @@ def follow(
     """Follow a robot of a running cell with another robot's camera; `deltaq camera view` changes the view."""
     from deltaq_cell.load import parse_cell
     from deltaq_cell.roles import camera_roles
-    from deltaq_deploy.command.console import shown_compiled_ahead
     from deltaq_deploy.launch.cell_connection import Where, connect
     from deltaq_deploy.launch.prepare import Needed
 
@@ -328,7 +319,6 @@ def _tell_view(
     """Request a view if one is given, and print the present one."""
     from deltaq_cell.load import parse_cell
     from deltaq_cell.roles import first_camera
-    from deltaq_deploy.command.console import print_json
     from deltaq_deploy.launch.cell_connection import Where, connect
 
     with connect(Where.of(cell, url, robot or ""), "deltaq camera", token) as running:

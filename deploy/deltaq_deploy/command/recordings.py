@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import signal
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deltaq_deploy.command.console import print_json, print_table, progress_bar
 from deltaq_deploy.command.options import CellOption, JsonOption
 from deltaq_deploy.launch import BAD
 
@@ -23,11 +26,7 @@ def record(
     json: JsonOption = False,
 ) -> None:
     """Record a running cell: states and verdicts, and every input and output of the gate."""
-    import contextlib
-    import signal
-
     from deltaq_cell.load import load_cell
-    from deltaq_deploy.command.console import print_json, print_table, progress_bar
     from deltaq_services.process import end_on_interrupt
     from deltaq_services.recorder.shell import Recorder
 
@@ -54,7 +53,6 @@ def replay(
     file: Annotated[Path, typer.Argument(help="MCAP file that deltaq recorded.")], json: JsonOption = False
 ) -> None:
     """Run a recording through the gate again and compare every verdict; exit status 1 if any differs or is missing."""
-    from deltaq_deploy.command.console import print_json, print_table, progress_bar
     from deltaq_testing.replay import replay as run
 
     with progress_bar(f"replaying {file}") as progress:
@@ -130,7 +128,6 @@ def plot(
     ] = None,
 ) -> None:
     """Draw a recording: the paths of the tools, or the paper's figure if the camera on fr follows gr."""
-    from deltaq_deploy.command.console import progress_bar
     from deltaq_experiments.tracking import plot as draw
 
     picture = output or file.with_suffix(".png")
@@ -151,7 +148,6 @@ def report(
     ] = False,
 ) -> None:
     """Report a recording on one HTML page: verdicts, stops and faults over time, clearance, joints and limits."""
-    from deltaq_deploy.command.console import print_json, progress_bar
     from deltaq_experiments.run_report.figures import figures
     from deltaq_experiments.run_report.page import must_be_free, page, write
     from deltaq_experiments.run_report.run import read_run

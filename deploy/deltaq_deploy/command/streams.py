@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import difflib
+import time
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deltaq_deploy.command.console import print_json, print_table
 from deltaq_deploy.command.options import CellOption, JsonOption, UrlOption
 from deltaq_protocol.errors import DeltaqError
 
@@ -81,7 +84,6 @@ def echo(
     """Print messages as they come, one JSON object a line."""
     import zenoh
 
-    from deltaq_deploy.command.console import print_json
     from deltaq_deploy.launch.cell_connection import Where, describe, listen
     from deltaq_protocol.codec import unpack
 
@@ -108,9 +110,6 @@ def hz(
     json: JsonOption = False,
 ) -> None:
     """Measure rate and regularity of each stream of a running cell."""
-    from dataclasses import asdict
-
-    from deltaq_deploy.command.console import print_json, print_table
     from deltaq_deploy.launch.cell_connection import Where, describe, listen
     from deltaq_deploy.launch.rates import rate_of
     from deltaq_services.rate_limit import lags
@@ -154,8 +153,6 @@ def _listen(
     listener: Listener, description: Description, duration_s: float
 ) -> dict[str, tuple[Topic, list[float]]]:
     """When messages came, by key; a stream that has to come and does not is there too."""
-    import time
-
     arrivals: dict[str, tuple[Topic, list[float]]] = {}
 
     def take(sample: Any, row: Topic) -> None:

@@ -10,6 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deltaq_controllers.camera import FOLLOWS
+from deltaq_deploy.command.console import (
+    console,
+    flat,
+    print_json,
+    print_table,
+    progress_bar,
+    shown_compiled_ahead,
+)
 from deltaq_deploy.command.options import CellOption, ControllerOption, JsonOption
 from deltaq_deploy.launch import BAD
 
@@ -156,8 +164,6 @@ def experiment(
 
 def _told(report: dict[str, Any], shown: dict[str, Any], json: bool) -> None:
     """Print a report as JSON, or a part of it as a table."""
-    from deltaq_deploy.command.console import print_json
-
     if json:
         print_json(report)
     else:
@@ -168,7 +174,6 @@ def _run(name: Experiment, asked: dict[str, Any], figure: Path | None) -> dict[s
     """Run an experiment with the options asked for, draw its figure, and return its report."""
     import importlib
 
-    from deltaq_deploy.command.console import progress_bar, shown_compiled_ahead
     from deltaq_deploy.launch.prepare import Needed
     from deltaq_experiments.figures import draw
 
@@ -193,7 +198,6 @@ def _run(name: Experiment, asked: dict[str, Any], figure: Path | None) -> dict[s
 
 
 def _attack(cell: str, seed: int, duration_s: float, json: bool) -> None:
-    from deltaq_deploy.command.console import progress_bar
     from deltaq_testing.attack import run
 
     with progress_bar(f"attack, {duration_s:g} s") as move:
@@ -205,7 +209,6 @@ def _attack(cell: str, seed: int, duration_s: float, json: bool) -> None:
 
 
 def _show(report: dict[str, Any]) -> None:
-    from deltaq_deploy.command.console import flat, print_table
 
     print_table(
         f"{report['experiment']} with the {report['controller']} controller", ("what", "value"), flat(report)
@@ -213,7 +216,6 @@ def _show(report: dict[str, Any]) -> None:
 
 
 def _peg_and_valve(cell: str, robot: str | None, mode: list[str] | None, seeds: int, json: bool) -> None:
-    from deltaq_deploy.command.console import print_json, print_table, progress_bar
     from deltaq_experiments.peg_and_valve import OFF_MM, OPERATORS, TILT_DEG, robot_for_the_task, run
     from deltaq_experiments.peg_and_valve_summary import FIGURES, by_mode, distributions
 
@@ -276,7 +278,6 @@ def bench(
 
 
 def _alone(cell: str, cycles: int, json: bool) -> bool:
-    from deltaq_deploy.command.console import print_json, progress_bar, shown_compiled_ahead
     from deltaq_deploy.launch.prepare import Needed
     from deltaq_experiments.bench.decisions import run
 
@@ -291,8 +292,6 @@ def _alone(cell: str, cycles: int, json: bool) -> bool:
 
 def show(table: BenchTable) -> None:
     """The rows as people read them."""
-    from deltaq_deploy.command.console import print_table
-
     columns = (
         "what",
         "reference",
@@ -326,7 +325,6 @@ def show(table: BenchTable) -> None:
 
 
 def _live(options: LiveOptions, runs: int, json: bool) -> bool:
-    from deltaq_deploy.command.console import console, print_json, progress_bar, shown_compiled_ahead
     from deltaq_deploy.launch.prepare import Needed
     from deltaq_experiments.bench.live import BARE_S, run_once
 
@@ -361,8 +359,6 @@ def _live(options: LiveOptions, runs: int, json: bool) -> bool:
 
 def show_run(run: LiveRun, number: int) -> None:
     """One live run as people read it."""
-    from deltaq_deploy.command.console import print_table
-
     for name, robot in run.robots.items():
         columns = ("station", "passed", "missing", "p50", "p99", "p99.9", "longest", "hops", "p50 x", "p99 x")
         rows = [
@@ -451,7 +447,6 @@ def filters(
     The arm is a KR 16 among boxes. Adversaries ask for the fastest motion, and straight paths pass near bodies. coal
     judges each setpoint on the meshes, independently of the gate.
     """
-    from deltaq_deploy.command.console import print_json, print_table, progress_bar, shown_compiled_ahead
     from deltaq_deploy.launch.prepare import Needed
     from deltaq_experiments.bench.filter_scenes import ROBOT, drawn_scene
     from deltaq_experiments.bench.filters import FILTERS, FilterRow, compare, named

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from deltaq_deploy.command.console import console, json_log, prefixed_log, shown_compiled_ahead
 from deltaq_deploy.command.options import CellOption, ConsoleOption
 from deltaq_deploy.launch import BAD
 
@@ -47,10 +49,7 @@ def up(
     ] = "text",
 ) -> None:
     """Start the services of a cell on this machine, one process each; Ctrl-C brings the robots to rest."""
-    from functools import partial
-
     from deltaq_cell.load import load_cell
-    from deltaq_deploy.command.console import console, json_log, prefixed_log, shown_compiled_ahead
     from deltaq_deploy.launch.bring_to_rest import bring_to_rest
     from deltaq_deploy.launch.launcher import Launcher
     from deltaq_deploy.launch.prepare import needed_by

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import time
 from itertools import count as counted
 from itertools import islice
 from pathlib import Path
@@ -10,8 +12,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from deltaq_deploy.command.console import (
+    PIPE_WIDTH,
+    console,
+    counts,
+    degrees_or_millimetres,
+    print_json,
+    print_table,
+    table_of,
+)
 from deltaq_deploy.command.options import CellOption, JsonOption, UrlOption
 from deltaq_deploy.launch import BAD
+from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -34,10 +46,8 @@ def metrics(
 ) -> None:
     """Serve the metrics of a running cell for Prometheus, until Ctrl-C; the cell may come and go meanwhile."""
     import asyncio
-    import contextlib
 
     from deltaq_deploy.launch.cell_connection import Where
-    from deltaq_protocol.errors import ServiceUnreachableError
     from deltaq_protocol.log import configure
     from deltaq_services.metrics.shell import Exporter
 
@@ -87,7 +97,6 @@ def ros2(
     an object, and the last one has the counts.
     """
     import asyncio
-    import os
 
     from deltaq_controllers.live import until_told
     from deltaq_controllers.ros2.bridge import Bridge, RosSide
@@ -130,7 +139,6 @@ def status(
 
     With --watch and --json it prints one object a line.
     """
-    from deltaq_deploy.command.console import PIPE_WIDTH, console, print_json
     from deltaq_deploy.launch.cell_connection import Where, connect
 
     if service is not None:
@@ -154,11 +162,7 @@ def status(
 
 def _watch(running: BlockingCell, interval_s: float, count: int, verbose: bool, json: bool) -> None:
     """Show the status of a cell again and again, until Ctrl-C or as often as is asked."""
-    import time
-
     from rich.live import Live
-
-    from deltaq_deploy.command.console import console, print_json
 
     screen = contextlib.nullcontext() if json else Live(console=console(), auto_refresh=False)
     with contextlib.suppress(KeyboardInterrupt), screen as live:
@@ -180,7 +184,6 @@ def _health(service: str, cell: str, json: bool) -> None:
         typer.Exit: it is not.
     """
     from deltaq_cell.load import load_cell
-    from deltaq_deploy.command.console import print_json
     from deltaq_deploy.launch.probes import probe
     from deltaq_deploy.launch.services import cell_services, console_service, one, video_services
 
@@ -200,8 +203,6 @@ def shown(answer: Status, cell: Description, verbose: bool) -> Group:
     """Print a status as text; `verbose` adds counters and the drives' lag."""
     from rich.console import Group
     from rich.text import Text
-
-    from deltaq_deploy.command.console import counts, degrees_or_millimetres, table_of
 
     rows = []
     for name, robot in answer.robots.items():
@@ -256,8 +257,6 @@ def audit(
 ) -> None:
     """Show the audit log: leases, stops, resets, outputs, contacts and refused attempts, by client."""
     from deltaq_cell.load import load_cell
-    from deltaq_deploy.command.console import console, print_table
-    from deltaq_protocol.errors import DeltaqError
     from deltaq_services.hli.audit import default_audit_file, older
 
     path = file or default_audit_file(load_cell(cell).cell)
