@@ -148,17 +148,12 @@ class BlockingOpening(AbstractContextManager[T_co]):
     def __enter__(self) -> T_co:
         return self.open()
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> bool | None:
+    def __exit__(self, *error: Any) -> bool | None:
         if not self._is_open:
             return None
         self._is_open = False
         atexit.unregister(self.close)
-        return self._manager.__exit__(kind, error, trace)
+        return self._manager.__exit__(*error)
 
 
 class BlockingRobot:

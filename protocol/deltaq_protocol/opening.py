@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import AbstractAsyncContextManager
-from types import TracebackType
 from typing import Any, TypeVar
 
 T = TypeVar("T")
@@ -35,13 +34,8 @@ class Opening(AbstractAsyncContextManager[T]):
     async def __aenter__(self) -> T:
         return await self.open()
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> bool | None:
+    async def __aexit__(self, *error: Any) -> bool | None:
         if self not in _open:
             return None
         _open.discard(self)
-        return await self._manager.__aexit__(kind, error, trace)
+        return await self._manager.__aexit__(*error)

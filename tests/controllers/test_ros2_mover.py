@@ -102,8 +102,7 @@ def test_straight_segments_are_followed_and_slowed_down_at_corners(lab: Any) -> 
     # the third point goes back over the way that was come
     driven.hear(*(point(t, q) for t, q in ((0, home), (0.5, home + aside), (1.0, home), (1.5, home + MOVED))))
     driven.cell.run(1.5)
-    assert driven.mover.done is not None
-    assert 0.8 < driven.mover.done < 1.0
+    assert driven.endings == []
     driven.cell.run(0.5)
     assert driven.endings == ["arrived"]
     assert set(driven.cell.verdicts) == {"admitted"}

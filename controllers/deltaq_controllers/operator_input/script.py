@@ -65,11 +65,6 @@ class Script(OperatorInput):
         self._began_s: float | None = None
         self._now = 0
 
-    @property
-    def duration_s(self) -> float:
-        """Length of the whole script, if no step ends earlier or waits for the advisor."""
-        return sum(duration_s for duration_s, _ in self._steps)
-
     @classmethod
     def load(cls, path: Path, teleoperator: Teleoperator) -> Self:
         """Read a YAML file, a list of steps, and check that the robot can do each in its mode.

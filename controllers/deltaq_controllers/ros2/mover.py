@@ -149,11 +149,6 @@ class TrajectoryFollower:
         self._idle_cycles = 0
         self._stops = False
 
-    @property
-    def done(self) -> float:
-        """Completed fraction of the path's time, 0 to 1."""
-        return self._at_s / self.path.duration_s
-
     def stop(self) -> None:
         """Come to rest on the path, as soon as the limits allow, and end there."""
         self._stops = True
@@ -331,11 +326,6 @@ class TrajectoryMover:
     def has_work(self) -> bool:
         """Whether a trajectory waits or is driven: the robot's lease is needed for it."""
         return self._waiting is not None or self._driven is not None
-
-    @property
-    def done(self) -> float | None:
-        """Executed share of the trajectory's time, 0 to 1; None without a trajectory."""
-        return None if self._driven is None else self._driven.done
 
     def hear(self, message: bytes, attachment: bytes | None, now_ns: int) -> None:
         """Take a message, from any sender; `now` is in ns since the epoch."""
