@@ -62,7 +62,7 @@ def plan(
     trees: list[list[tuple[Array, int]]] = [[(start, -1)], [(goal, -1)]]
 
     def extend(tree: list[tuple[Array, int]], target: Array, most: float) -> Array:
-        nearest = int(np.argmin([np.linalg.norm(q - target) for q, _ in tree]))
+        nearest = int(np.argmin(np.linalg.norm([q - target for q, _ in tree], axis=1)))
         at, last = tree[nearest][0], nearest
         for q in steps_between(at, target):
             if np.linalg.norm(q - at) > most or not clear(q):
@@ -166,11 +166,15 @@ def stream(gate: Gate, oracle: Distances, path: Array, scene: Scene) -> None:
     at, rate, waits, cycles = 0.0, 1.0, 0, 0
     lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     index = np.arange(len(path))
+
+    def along(places: Array) -> Array:
+        return np.stack([np.interp(places, index, joint) for joint in path.T], axis=1)
+
     last = ""
     step = gate.would_admit(None, path[0] - path[0])
     while at < len(path) - 1 and waits < PATIENCE:
         ahead = min(at + rate, len(path) - 1.0)
-        target = np.array([np.interp(ahead, index, joint) for joint in path.T])
+        target = along(np.array([ahead]))[0]
         begin = time.process_time()
         step = gate.step(target - gate.q_cmd())
         scene.ms.append((time.process_time() - begin) * 1e3)
@@ -179,12 +183,11 @@ def stream(gate: Gate, oracle: Distances, path: Array, scene: Scene) -> None:
         rest = step.q_cmd + step.dq * max(0.0, (step.verdict.time_to_stop_s or 0.0) / CYCLE_S - 1) / 2
         if not (oracle.clear(step.q_cmd, -ROUNDING_M) and oracle.clear(rest, -ROUNDING_M)):
             scene.false_admissions += 1
-        # a part of a request, or a step of the stopping trajectory, goes along the path, too
-        near = np.minimum(at + np.linspace(0.0, 2.0, 81), len(path) - 1.0)
-        offs = [
-            np.linalg.norm(step.q_cmd - [np.interp(one, index, joint) for joint in path.T]) for one in near
-        ]
-        gone = (ahead if step.admitted else near[int(np.argmin(offs))]) - at
+        gone = ahead - at
+        if not step.admitted:
+            # a part of a request, or a step of the stopping trajectory, goes along the path, too
+            near = np.minimum(at + np.linspace(0.0, 2.0, 81), len(path) - 1.0)
+            gone = near[np.linalg.norm(along(near) - step.q_cmd, axis=1).argmin()] - at
         waits = waits + 1 if gone < 1e-3 else 0
         at += gone
         rate = min(1.0, gone + CYCLE_S / RAMP_S)

@@ -113,6 +113,18 @@ def test_distances_change_with_the_joints_as_their_gradients_say():
         assert smooth.mean() > 0.8  # the nearest points of a cylinder's rim and of edges jump
 
 
+def test_clear_is_what_all_measured_distances_say():
+    scene = drawn_scene(0)
+    distances, rng = Distances(scene), np.random.default_rng(2)
+    found = []
+    for q in rng.uniform(scene.lower, scene.upper, (60, len(scene.lower))):
+        room_m = (distances.measure(q) - distances.least_m).min()
+        for more_m in (0.0, 0.05, max(room_m - 1e-5, 0.0), max(room_m + 1e-5, 0.0)):
+            found.append(distances.clear(q, more_m))
+            assert found[-1] == (room_m > more_m)
+    assert 20 < sum(found) < 220
+
+
 def test_drives_stop_no_faster_than_their_limits_unless_they_are_ideal():
     scene = drawn_scene(0)
     change = scene.max_acceleration * scene.cycle_s**2

@@ -121,12 +121,30 @@ class Distances:
         for pair in pairs:
             self._geometry.addCollisionPair(pin.CollisionPair(*pair))
         self._measured, self._asked, self._touching = (self._geometry.createData() for _ in range(3))
+        self._first, self._second = np.array(pairs).reshape(-1, 2).T
+        shapes = [body.geometry for body in self._geometry.geometryObjects]
+        for shape in shapes:
+            shape.computeLocalAABB()
+        self._middles = [shape.aabb_center for shape in shapes]
+        self._reach_m = np.array([shape.aabb_radius for shape in shapes])
 
     def clear(self, q: Array, more_m: float = ALLOWED_M) -> bool:
         """Whether all pairs keep their stop distances, and `more_m` beyond them, at `q` (n,)."""
-        for request, margin in zip(self._asked.collisionRequests, self.least_m, strict=True):
-            request.security_margin = margin + more_m
-        return not pin.computeCollisions(self._model, self._data, self._geometry, self._asked, q, True)
+        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._asked, q)
+        asked_m = self.least_m + more_m
+        for pair in np.flatnonzero(self._at_least_m() <= asked_m).tolist():
+            self._asked.collisionRequests[pair].security_margin = asked_m[pair]
+            if pin.computeCollision(self._geometry, self._asked, pair):
+                return False
+        return True
+
+    def _at_least_m(self) -> Array:
+        """(pairs,) distances of the balls that coal has around bodies; those of the bodies are no less [m]."""
+        placed = zip(self._asked.oMg, self._middles, strict=True)
+        centres = np.array([place.act(middle) for place, middle in placed])
+        apart = np.linalg.norm(centres[self._first] - centres[self._second], axis=1)
+        at_least_m: Array = apart - self._reach_m[self._first] - self._reach_m[self._second]
+        return at_least_m
 
     def depth_m(self, q: Array) -> float:
         """How deep two bodies are in one another at `q` (n,); 0 if none touch [m]."""
