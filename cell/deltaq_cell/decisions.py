@@ -99,7 +99,7 @@ class Decisions:
         """Ask everything once, so that no decision waits for machine code."""
         still = np.zeros(tube.points.shape[1])
         course = self.course(robot, tube, still, still, still + 1.0, 0)
-        keeps_limits(still, still, still, still, still, still + 1.0, still, still, 0.0, 0.0)
+        keeps_limits(still, still, 1.0, still, still, still, still + 1.0, still, still, 0.0, 0.0)
         course_points(tube.points, tube.points[:0], still, 1, 0)
         against = self.against(robot, [])
         self.certify(robot, lay_course(course, 0.0), against, 0.0, 0, tells=False)

@@ -95,6 +95,7 @@ def lay_course(course: Course, share: float) -> Tube:
 def keeps_limits(
     brake: Array,
     request: Array,
+    share: float,
     last_dq: Array,
     q_cmd: Array,
     max_dq: Array,
@@ -104,11 +105,12 @@ def keeps_limits(
     slack: float,
     rounding: float,
 ) -> bool:
-    """Whether neither `Limits.dynamic_scale` nor `Limits.position_scale` would leave less than a whole request.
+    """Whether neither `Limits.dynamic_scale` nor `Limits.position_scale` would leave less than a share of a request.
 
     Args:
         brake: (n,) next increment of the brake [rad or m].
         request: (n,) increment asked for.
+        share: 0 for the brake, 1 for the whole request.
         last_dq: (n,) increment sent last.
         q_cmd: (n,) setpoint.
         max_dq: (n,) largest increment.
@@ -125,12 +127,12 @@ def keeps_limits(
         change = request[joint] - brake[joint]
         if change != 0.0:
             room = (fastest if change > 0.0 else slowest) - brake[joint]
-            if not room / change >= 1.0 - slack:
+            if not room / change >= share - slack:
                 return False
-        most = max(most, abs(brake[joint] + change) / max_dv[joint])
+        most = max(most, abs(brake[joint] + share * change) / max_dv[joint])
     cycles = max(1.0, math.ceil(most * (1.0 - slack)))
     for joint in range(len(brake)):
-        dq = brake[joint] + (request[joint] - brake[joint])
+        dq = brake[joint] + share * (request[joint] - brake[joint])
         end = q_cmd[joint] + dq * ((cycles + 1.0) / 2.0)
         above = end - max(upper[joint], q_cmd[joint])
         below = min(lower[joint], q_cmd[joint]) - end

@@ -27,18 +27,20 @@ _SLACK = 1e-9
 """Fraction of a bound by which rounding may exceed it."""
 
 
-def shares_within(start: Array, end: Array, low: Array, high: Array) -> Array:
-    """(n,) greatest fraction of the step from `start` to `end` that each joint's bounds allow; may exceed 1."""
-    change = end - start
-    room = np.where(change > 0, high - start, low - start)
-    with np.errstate(all="ignore"):
-        shares: Array = np.where(change == 0, 1.0, room / change)
+def shares_within(start: Array, end: Array, low: Array, high: Array) -> list[float]:
+    """Greatest fraction of the step from `start` to `end` that each joint's bounds allow; may exceed 1."""
+    shares = []
+    # of so few numbers, arrays take several times as long
+    for here, there, least, most in np.array([start, end, low, high]).T.tolist():
+        change = there - here
+        room = (most if change > 0 else least) - here
+        shares.append(1.0 if change == 0 else room / change)
     return shares
 
 
 def share_within(start: Array, end: Array, low: Array, high: Array) -> float:
     """How far all joints may go together, in [0, 1]."""
-    return min(max(float(shares_within(start, end, low, high).min()), 0.0), 1.0)
+    return min(max(min(shares_within(start, end, low, high)), 0.0), 1.0)
 
 
 def _rate(change: float, over: float) -> float:
@@ -74,20 +76,23 @@ class Limits:
         if self.keeps(brake, request, last_dq, q_cmd):
             return 1.0, []
         scale, reasons = self.dynamic_scale(brake, request, last_dq)
+        if self.keeps(brake, request, last_dq, q_cmd, scale):
+            return scale, reasons
         scale, tighter = self.position_scale(brake, request, q_cmd, scale)
         return scale, tighter or reasons
 
-    def keeps(self, brake: Array, request: Array, last_dq: Array, q_cmd: Array) -> bool:
-        """Whether a whole request is within all limits, as nearly every one is.
+    def keeps(self, brake: Array, request: Array, last_dq: Array, q_cmd: Array, share: float = 1.0) -> bool:
+        """Whether a share of a request is within all limits, as nearly every whole one is.
 
         Args:
             brake: (n,) next increment of the brake.
             request: (n,) increment asked for.
             last_dq: (n,) increment sent last.
             q_cmd: (n,) setpoint.
+            share: 0 for the brake, 1 for the whole request.
         """
         bounds = self.max_dq, self.max_dv, self.lower, self.upper
-        return bool(keeps_limits(brake, request, last_dq, q_cmd, *bounds, _SLACK, _ROUNDING))
+        return bool(keeps_limits(brake, request, share, last_dq, q_cmd, *bounds, _SLACK, _ROUNDING))
 
     def dynamic_scale(self, brake: Array, request: Array, last_dq: Array) -> tuple[float, list[Reason]]:
         """Largest s within the velocity and acceleration limits (I3).
@@ -102,10 +107,11 @@ class Limits:
         """
         slowest = np.maximum(-self.max_dq, last_dq - self.max_dv)
         fastest = np.minimum(self.max_dq, last_dq + self.max_dv)
-        scales = shares_within(brake, request, slowest, fastest)
-        if (scales >= 1.0 - _SLACK).all():
+        shares = shares_within(brake, request, slowest, fastest)
+        scale = min(shares)
+        if scale >= 1.0 - _SLACK:
             return 1.0, []
-        joint = int(scales.argmin())
+        joint = shares.index(scale)
         bound = fastest[joint] if request[joint] > brake[joint] else slowest[joint]
         if abs(bound) >= self.max_dq[joint] * (1 - _SLACK):
             reason = Reason(
@@ -121,7 +127,7 @@ class Limits:
                 value=_rate(request[joint] - last_dq[joint], self.cycle_s**2),
                 bound=float(self.max_dv[joint] / self.cycle_s**2),
             )
-        return max(0.0, float(scales[joint])), [reason]
+        return max(0.0, scale), [reason]
 
     def slow_scale(self, brake: Array, request: Array, share: float) -> float:
         """Largest s that leaves every joint within a fraction of its velocity limit; 0 while the brake is faster."""
@@ -141,7 +147,6 @@ class Limits:
         Returns:
             s, and the reason if s < `at_most`.
         """
-        # nearly every request fits, so the whole request is tried first
         ends, beyond = self._brake_ends(brake, request, q_cmd, np.array([at_most]))
         if (beyond <= _ROUNDING).all():
             return at_most, []
