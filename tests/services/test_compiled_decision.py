@@ -149,7 +149,10 @@ def test_setpoints_agree_with_the_branch_bit_for_bit(dq, cycles, step, in_path):
     path = tuple(past[-1] + k * 1e-3 for k in range(1, in_path + 1))
     branch = Branch(dq, cycles, step, path)
     points, moves = course_points(past, np.array(path).reshape(-1, 6), dq, cycles, step)
-    np.testing.assert_array_equal(points, np.concatenate((past, branch.setpoints(past[-1]))))
+    shares = np.cumsum((cycles - np.arange(step + 1, cycles if dq.any() else 0)) / cycles)
+    to_come = [*past, *path][-1] + shares[:, None] * dq
+    np.testing.assert_array_equal(points, np.vstack((past, *path, to_come)))
+    np.testing.assert_array_equal(branch.setpoints(past[-1]), points[len(past) :])
     assert moves
     np.testing.assert_array_equal(tube(past, branch, exact_drives(2, 6)).points, points)
 

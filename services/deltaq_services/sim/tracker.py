@@ -129,7 +129,7 @@ class Tracker:
         self._limits = np.maximum(np.abs(description.lower), np.abs(description.upper))
         self.history = History(self.drives.lag)
         self._ended: deque[int] = deque(maxlen=_ENDED_PROCESSES)
-        self._off: tuple[Array, Array] | None = None
+        self._off: tuple[int, float, float] | None = None
         self._present: SetpointMotion | None = None
 
     def observe(self, state: ServerState) -> bool:
@@ -322,12 +322,10 @@ class Tracker:
             assert self.state is not None  # asked only of robots that have been heard
             history = self.history.array()
             allowed = widths(history, self.drives.tolerance, self.drives.spread)
-            self._off = np.abs(off_hull(history, np.array(self.state.q), allowed)), allowed
-        distance, allowed = self._off
-        joint = int((distance / allowed).argmax())
-        if distance[joint] <= allowed[joint] * (1 + _SUMS):
-            return None
-        return joint, float(distance[joint]), float(allowed[joint])
+            distance = np.abs(off_hull(history, np.array(self.state.q), allowed))
+            joint = int((distance / allowed).argmax())
+            self._off = joint, float(distance[joint]), float(allowed[joint])
+        return None if self._off[1] <= self._off[2] * (1 + _SUMS) else self._off
 
 
 def _stood(before: ServerState, state: ServerState) -> bool:

@@ -70,14 +70,12 @@ class Branch:
 
     def setpoints(self, q_cmd: Array) -> Array:
         """(m, n) setpoints still to come after `q_cmd`, m = 0 at rest [rad or m]."""
-        steps = np.arange(self.step + 1, self.brake_cycles)
-        start = self.path[-1] if self.path else q_cmd
-        if not self.dq.any() or steps.size == 0:
-            to_come = np.empty((0, q_cmd.size))
-        else:
-            share = np.cumsum((self.brake_cycles - steps) / self.brake_cycles)
-            to_come = start + share[:, None] * self.dq
-        return np.vstack([*self.path, to_come])
+        return self.after(q_cmd[None])[0][1:]
+
+    def after(self, past: Array) -> tuple[Array, bool]:
+        """Setpoints (m, n) of the past and then those still to come [rad or m], and whether any of them differ."""
+        path = np.array(self.path) if self.path else past[:0]
+        return course_points(past, path, self.dq, self.brake_cycles, self.step)
 
 
 class Piece(Protocol):
@@ -196,9 +194,7 @@ def tube(history: Array, branch: Branch, drives: DriveBounds, measured: Array | 
     past = history if measured is None else np.concatenate((measured[None], history))
     if len(past) - 1 > drives.lag:
         drives = replace(drives, lag=len(past) - 1)
-    path = np.array(branch.path) if branch.path else past[:0]
-    # past, then `branch.setpoints`
-    points, moves = course_points(past, path, branch.dq, branch.brake_cycles, branch.step)
+    points, moves = branch.after(past)
     now = len(past) - 1
     return Windows(points, drives, now, len(points) - 1 + drives.lag if moves else now)
 
