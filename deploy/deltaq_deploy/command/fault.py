@@ -213,15 +213,16 @@ def impair(
 # `deltaq bench soak`.
 
 
+MovedOption = Annotated[str | None, typer.Option(help="The robot that moves; by default the cell's first.")]
+
+
 def soak(
     hours: Annotated[float, typer.Option(min=0.001, max=80.0, help="Duration of the soak.")],
     output: Annotated[
         Path, typer.Option(help="Folder for soak.json and soak.png; made if it does not exist.")
     ],
     cell: CellOption = "lab",
-    robot: Annotated[
-        str | None, typer.Option(help="The robot that moves; by default the cell's first.")
-    ] = None,
+    robot: MovedOption = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the faults and their times.")] = 0,
     json: JsonOption = False,
 ) -> None:
@@ -256,17 +257,8 @@ def list_faults(json: JsonOption = False) -> None:
     from deltaq_testing.faults.catalogue import CATALOGUE
 
     if json:
-        rows = (
-            {
-                "name": row.name,
-                "what": row.what,
-                "virtual": row.virtual,
-                "live": row.live,
-                "injectable": row.injectable,
-            }
-            for row in CATALOGUE
-        )
-        print_json({"faults": list(rows)})
+        told = ("name", "what", "virtual", "live", "injectable")
+        print_json({"faults": [{name: getattr(row, name) for name in told} for row in CATALOGUE]})
         return
     columns = ("fault", "what happens", "table", "live", "inject")
     print_table("faults", columns, ((row.name, row.what, *_ways(row)) for row in CATALOGUE))
@@ -275,9 +267,7 @@ def list_faults(json: JsonOption = False) -> None:
 def table(
     names: Annotated[list[str] | None, typer.Argument(help="Faults to inject; all if none is given.")] = None,
     cell: CellOption = "lab",
-    robot: Annotated[
-        str | None, typer.Option(help="The robot that moves; by default the cell's first.")
-    ] = None,
+    robot: MovedOption = None,
     seed: Annotated[
         int, typer.Option(min=0, help="Seed of the links' faults; the same seed gives the same run.")
     ] = 0,

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import signal
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -57,7 +58,7 @@ def replay(
 
     with progress_bar(f"replaying {file}") as progress:
         result = run(file, progress)
-    summary = summarise(result)
+    summary = {"good": result.good, **asdict(result)}
     if json:
         print_json(summary)
     else:
@@ -73,28 +74,6 @@ def replay(
         typer.echo(f"deltaq: {line}", err=True)
     if not result.good:
         raise typer.Exit(BAD)
-
-
-def summarise(result: Replay) -> dict[str, Any]:
-    """The result as JSON prints it."""
-    return {
-        "good": result.good,
-        "messages": result.messages,
-        "verdicts": result.verdicts,
-        "admissions": result.admissions,
-        "receipts": result.receipts,
-        "memories": result.memories,
-        "differences": [difference.__dict__ for difference in result.differences],
-        "difference_count": result.difference_count,
-        "broken_receipts": result.broken_receipts,
-        "gaps": result.gaps,
-        "skipped": result.skipped,
-        "verdicts_sha256": result.verdicts_sha256,
-        "recorded_sha256": result.recorded_sha256,
-        "fingerprint": result.fingerprint,
-        "recorded_fingerprint": result.recorded_fingerprint,
-        "notices": result.notices,
-    }
 
 
 def notices(result: Replay) -> list[str]:
