@@ -335,7 +335,7 @@ def test_a_jumping_setpoint_is_not_sent_and_holds_the_robot(krc):
     assert krc.driver.read(krc.own(), krc.time_s) is not None
     told = KRC.decode(krc.driver.reply(krc.driver.q_sent + 3 * STEP, {}))
     np.testing.assert_array_equal(told.correction, np.zeros(6))
-    assert krc.driver.fault.what == "leaps"
+    assert " leaps: " in krc.driver.fault
     np.testing.assert_allclose(krc.driver.q_sent, FR.home, atol=1e-6)
 
 

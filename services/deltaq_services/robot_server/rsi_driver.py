@@ -27,7 +27,7 @@ from deltaq_services.robot_server.crash_brake.core import CrashPlan
 from deltaq_services.robot_server.cycle_meter import CycleMeter
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.mode_probe import SESSIONS
-from deltaq_services.robot_server.reply_guard import ReplyFault, reply_fault
+from deltaq_services.robot_server.reply_guard import reply_fault
 from deltaq_services.robot_server.session import (
     IPOC_WRAP,
     STILL,
@@ -100,7 +100,7 @@ class RsiDriver(Part):
         assert isinstance(driver, RsiDescription)  # asked only of robots that speak RSI
         self.unmoved: bytes | None = None
         self.implausible = ""
-        self.fault: ReplyFault | None = None
+        self.fault: str | None = None
         self.detail = ""
         self._codec = codec
         self._counters = counters
@@ -147,7 +147,7 @@ class RsiDriver(Part):
             return None
         place_fault = self._plausible.of_place(telegram.q.tolist())
         if place_fault is not None:
-            self._implausible(telegram, str(place_fault))
+            self._implausible(telegram, place_fault)
             return None
         last = self.session.last
         kind, answer, why = self.session.judge(telegram, time_s)

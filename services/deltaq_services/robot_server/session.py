@@ -33,19 +33,6 @@ RESOLUTION_M = 0.0002
 
 
 @dataclass(frozen=True, slots=True)
-class PositionFault:
-    """Why a reported position is rejected: joint, fault, value and bound [rad or m]."""
-
-    joint: str
-    what: str
-    value: float
-    bound: float
-
-    def __str__(self) -> str:
-        return f"{self.joint} {self.what}: {self.value:.6g}, allowed {self.bound:.6g} (rad or m)"
-
-
-@dataclass(frozen=True, slots=True)
 class Plausibility:
     """Bounds of plausible positions and motions of one robot's joints, each (n,) [rad or m].
 
@@ -78,23 +65,27 @@ class Plausibility:
             tuple(RESOLUTION_RAD if unit == "rad" else RESOLUTION_M for unit in robot.units),
         )
 
-    def of_place(self, q: Sequence[float]) -> PositionFault | None:
+    def of_place(self, q: Sequence[float]) -> str | None:
         """Why no robot can be at `q` (n,) [rad or m], or None."""
         for joint, value, lower, upper in zip(self.joints, q, self.lower, self.upper, strict=True):
             if not value >= lower:
-                return PositionFault(joint, "is below its limit and a margin", value, lower)
+                return _words(joint, "is below its limit and a margin", value, lower)
             if not value <= upper:
-                return PositionFault(joint, "is above its limit and a margin", value, upper)
+                return _words(joint, "is above its limit and a margin", value, upper)
         return None
 
-    def of_motion(self, q: Sequence[float], last: Sequence[float], cycles: int) -> PositionFault | None:
+    def of_motion(self, q: Sequence[float], last: Sequence[float], cycles: int) -> str | None:
         """Why a robot that was at `last` cannot be at `q` (n,) [rad or m] that many cycles later, or None."""
         for number, joint in enumerate(self.joints):
             bound = cycles * self.reach[number] + self.resolution[number]
             distance = abs(q[number] - last[number])
             if not distance <= bound:
-                return PositionFault(joint, f"cannot have moved so far in {cycles} cycles", distance, bound)
+                return _words(joint, f"cannot have moved so far in {cycles} cycles", distance, bound)
         return None
+
+
+def _words(joint: str, what: str, value: float, bound: float) -> str:
+    return f"{joint} {what}: {value:.6g}, allowed {bound:.6g} (rad or m)"
 
 
 class DatagramSource(StrEnum):
@@ -353,7 +344,7 @@ class Session(Part):
         assert telegram.q is not None  # asked only of telegrams with a position
         assert last.q is not None  # the session consists of such
         fault = self._plausible.of_motion(telegram.q.tolist(), last.q.tolist(), ahead // step)
-        return (TelegramKind.NEXT, "") if fault is None else (TelegramKind.GARBLED, str(fault))
+        return (TelegramKind.NEXT, "") if fault is None else (TelegramKind.GARBLED, fault)
 
     def _stands_where_programmed(self, telegram: KrcTelegram) -> bool:
         if telegram.q is None or telegram.q_programmed is None:
