@@ -6,7 +6,7 @@ from deltaq_cell.load import load_cell
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_testing.faults.catalogue import UnknownFaultError, fault_named
 from deltaq_testing.faults.panel import inject
-from deltaq_testing.faults.table import run_table
+from deltaq_testing.faults.virtual import run_table
 from deltaq_testing.private_cell import write_private_cell
 from studies.live_faults.run import live_table
 

@@ -10,8 +10,7 @@ from deltaq_testing.faults.catalogue import CATALOGUE, UnknownFaultError, fault_
 from deltaq_testing.faults.mover import CRUISE_RAD_S
 from deltaq_testing.faults.panel import load_rsi_cell
 from deltaq_testing.faults.report import BY_ITSELF
-from deltaq_testing.faults.table import markdown, run_table
-from deltaq_testing.faults.virtual import run_fault
+from deltaq_testing.faults.virtual import markdown, run_fault, run_table
 from deltaq_testing.virtual_cell.cell import VirtualCell
 from deltaq_testing.virtual_cell.parts import Link, MessageWire, Process
 

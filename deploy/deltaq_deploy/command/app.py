@@ -22,7 +22,6 @@ from deltaq_deploy.command import (
     operate,
     recordings,
     routine,
-    run,
     streams,
     study,
     up,
@@ -172,7 +171,7 @@ VERBS: dict[str, tuple[Verb, ...]] = {
         ),
         Verb(
             "run",
-            run.run,
+            drive.run,
             (
                 "deltaq run turn.py:Turn --robot fr",
                 "deltaq run turn.py:Turn --robot fr --url tcp/127.0.0.1:7447",

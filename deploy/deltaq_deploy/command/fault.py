@@ -275,19 +275,20 @@ def table(
     markdown: Annotated[bool, typer.Option("--markdown", help="Print a table for a document.")] = False,
 ) -> None:
     """Inject faults into a moving robot, one by one; exit status 1 if a limit was passed or it never moved again."""
-    from deltaq_testing.faults import table as fault_table
     from deltaq_testing.faults.catalogue import CATALOGUE, fault_named
+    from deltaq_testing.faults.virtual import COLUMNS, run_table, shown
+    from deltaq_testing.faults.virtual import markdown as page
 
     chosen = [fault_named(name) for name in names] if names else CATALOGUE
     with progress_bar("faults") as progress:
-        result = fault_table.run_table(cell, robot, faults=chosen, seed=seed, on_row=progress)
+        result = run_table(cell, robot, faults=chosen, seed=seed, on_row=progress)
     if json:
         print_json(result.model_dump(mode="json") | {"good": result.good})
     elif markdown:
-        typer.echo(fault_table.markdown(result))
+        typer.echo(page(result))
     else:
         title = f"faults of {result.robot} in cell {result.cell}, in virtual time"
-        print_table(title, fault_table.COLUMNS, map(fault_table.shown, result.rows))
+        print_table(title, COLUMNS, map(shown, result.rows))
     if not result.good:
         raise typer.Exit(BAD)
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from deltaq_deploy.launch.program import run_program
 from deltaq_testing.faults.catalogue import CATALOGUE, fault_named
-from deltaq_testing.faults.table import markdown
+from deltaq_testing.faults.virtual import markdown
 from studies.live_faults.run import live_table
 
 

@@ -37,8 +37,7 @@ from deltaq_testing.faults.report import (
     motion_after,
     recovery_text,
 )
-from deltaq_testing.faults.table import table_of
-from deltaq_testing.faults.virtual import ATTEMPTS, FaultRunError
+from deltaq_testing.faults.virtual import ATTEMPTS, FaultRunError, table_of
 from deltaq_testing.oracle import ClearanceOracle, record_cycle_s, rows_of
 from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 from deltaq_testing.virtual_cell.parts import Process

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from deltaq_cell.description import CellDescription
 from deltaq_cell.roles import camera_roles
+from deltaq_cell.sight_lines import focus_of
 from deltaq_protocol.messages import (
     NearestPair,
     Phase,
@@ -20,7 +21,6 @@ from deltaq_services.console.feed import pack_frame
 from deltaq_services.console.messages import SIGHTS, bound_of, phase_words
 from deltaq_services.console.robot_side import RobotSide
 from deltaq_services.console.status_board import EventLog
-from deltaq_services.focus import focus_of
 
 
 class Picture:

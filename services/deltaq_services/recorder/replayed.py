@@ -13,12 +13,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from deltaq_cell.sight_lines import focus_of
 from deltaq_protocol import topics
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.identity import CellIdentity, mismatch
 from deltaq_protocol.messages import Outcome, Phase, Proximity, RobotState, Verdict
 from deltaq_protocol.reasons import EXPLANATIONS
-from deltaq_services.focus import focus_of
 from deltaq_services.process import run
 from deltaq_services.recorder.reader import Recording
 

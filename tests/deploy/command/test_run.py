@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from deltaq_deploy.command.run import loaded
+from deltaq_deploy.command.drive import loaded
 
 
 @pytest.fixture
