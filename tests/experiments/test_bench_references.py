@@ -18,9 +18,14 @@ import pytest
 from deltaq_deploy.launch.launcher import Launcher
 from deltaq_deploy.launch.program import LaunchError
 from deltaq_deploy.launch.services import Role, Service
-from deltaq_experiments.bench.hop_reference import HopReferenceError, hop_reference, processor_seconds
+from deltaq_experiments.bench.hop_reference import (
+    CompilerError,
+    HopReferenceError,
+    hop_reference,
+    processor_seconds,
+    program,
+)
 from deltaq_experiments.bench.live import _counted, _wait
-from deltaq_experiments.bench.native import CompilerError, program
 from deltaq_experiments.live import LastLines
 
 

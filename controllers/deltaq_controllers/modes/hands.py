@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from deltaq_cell.compiled import compiled
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.joint_frames import JointTree, joint_tree, placed_joints
-from deltaq_controllers.kinematics import joints_that_move
+from deltaq_controllers.kinematics import JointTree, joint_tree, joints_that_move, placed_joints
 from deltaq_controllers.modes.conditioning import LENGTH_M
 from deltaq_controllers.vectors import turn_between
 from deltaq_protocol.arrays import Array, Indices

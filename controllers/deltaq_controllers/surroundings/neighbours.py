@@ -23,7 +23,7 @@ from deltaq_cell.bodies import WORLD, composite_model
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.compiled import compiled
 from deltaq_cell.group import make_reproducible
-from deltaq_controllers.joint_frames import JointTree, joint_tree, placed_joints
+from deltaq_controllers.kinematics import JointTree, joint_tree, placed_joints
 from deltaq_controllers.spheres import Spheres, local_box, placed
 from deltaq_controllers.vectors import cross, distance
 from deltaq_protocol.arrays import Array, Indices

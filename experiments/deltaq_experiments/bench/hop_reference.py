@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+import shutil
 import subprocess
 import time
 from collections.abc import Iterator
@@ -13,9 +15,41 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_experiments.bench.native import program
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.stamps import StampStation
+
+# References in C, compiled for the run.
+
+_HERE = Path(__file__).parent
+
+
+class CompilerError(DeltaqError):
+    """There is no C compiler, or it failed."""
+
+
+def program(name: str, folder: Path) -> str:
+    """The program of `NAME.c` of this folder, made by the compiler that CC names, or by `cc`.
+
+    Args:
+        name: of the program.
+        folder: for the executable.
+
+    Raises:
+        CompilerError: if there is no compiler, or it cannot compile it.
+    """
+    compiler = os.environ.get("CC") or "cc"
+    found = shutil.which(compiler)
+    if found is None:
+        raise CompilerError(
+            f"the reference is a C program, and there is no compiler {compiler!r}: install one, or name it in CC"
+        )
+    made = folder / name
+    command = [found, "-std=gnu11", "-O2", "-o", str(made), str(_HERE / f"{name}.c")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise CompilerError(f"{' '.join(command)} failed:\n{done.stderr.strip()}")
+    return str(made)
+
 
 _SCHED = 2
 """CPUCLOCK_SCHED of the kernel's include/linux/posix-timers.h: time that a process ran."""

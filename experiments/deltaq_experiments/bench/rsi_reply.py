@@ -21,7 +21,7 @@ from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_cell.identity import content_identity
 from deltaq_deploy.launch.launcher import Launcher
 from deltaq_deploy.launch.services import cell_services, one
-from deltaq_experiments.bench.native import program
+from deltaq_experiments.bench.hop_reference import program
 from deltaq_experiments.bench.table import BenchRow
 from deltaq_protocol import topics
 from deltaq_protocol.codec import pack, unpack
