@@ -172,7 +172,21 @@ class ReachJoints(Message):
     q: Joints
 
 
-DriverRequest = Take | Release | GiveCommand | ChooseMaster | Advise | Reach | ReachJoints
+class DoRoutine(Message):
+    """Run a routine from its step `first` (from 0) on; or pause the one that runs, go on with it, or give it up.
+
+    Without `equipment` it is one that needs none. What else the robot is told to do waits until the routine has ended.
+    """
+
+    type: Literal["routine"] = "routine"
+    id: RequestId
+    action: Literal["run", "pause", "go_on", "abort"]
+    routine: Annotated[str, Field(max_length=64, pattern=r"^[A-Za-z0-9_-]*$")] = ""
+    equipment: Annotated[str, Field(max_length=64)] = ""
+    first: Annotated[int, Field(ge=0, le=1000)] = 0
+
+
+DriverRequest = Take | Release | GiveCommand | ChooseMaster | Advise | Reach | ReachJoints | DoRoutine
 REQUESTS: TypeAdapter[DriverRequest] = TypeAdapter(Annotated[DriverRequest, Field(discriminator="type")])
 
 
@@ -220,13 +234,32 @@ class HandsOff(Message):
     angle_rad: Real
 
 
+class RoutineProgress(Message):
+    """The routine that runs, or that ran last: the present `step` of `steps`, from 0, and the share of it that is done.
+
+    `end` says how the run ended, empty while it lasts, and `why` the reason; it can be taken up at `step` unless that
+    is the last.
+    """
+
+    routine: str
+    equipment: str = ""
+    step: int = 0
+    steps: int = 0
+    text: str = ""
+    done: Fraction = 0.0
+    paused: bool = False
+    end: str = ""
+    why: str = ""
+
+
 class DriverReport(Message):
     """The driver's status, sent some times a second while it changes.
 
     `limit` names in words what limits the operator now, `doing` what the mode does. `goes_through` is the executed
     fraction of the command, in tenths; 1 if nothing limits it. `search` is present in modes that offer paths. `grip`
     is the chosen grip; `hands_off` is present once an object is held. `master` names the robot that leads an end
-    effector, with its displacement times `master_scale`; empty if none was chosen.
+    effector, with its displacement times `master_scale`; empty if none was chosen. `routines` are the routines that
+    there are, by kind of equipment; those that need none are under an empty name.
     """
 
     type: Literal["report"] = "report"
@@ -242,6 +275,8 @@ class DriverReport(Message):
     doing: str = ""
     distance_m: Real | None = None
     search: Search | None = None
+    routines: dict[str, tuple[str, ...]] = {}
+    routine: RoutineProgress | None = None
 
 
 class NearPair(Message):

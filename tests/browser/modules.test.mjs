@@ -5,8 +5,8 @@ import { mock, test } from "node:test";
 
 const folder = process.env.DELTAQ_BROWSER_MODULES;
 const load = (name) => import(`${folder}/${name}.js`);
-const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { Gamepad, shaped, wishOf }, { csvCell }, { Player, Replay }, drag, { score }, hands, { Pace }, { framed }, { boxesBeside, roomOf }, { axisOf, axisText }, { modesOf }, { Handover, UNSEEN_MS }, { targetsOf }, { anglesOf, dateText, poseText }] = await Promise.all(
-  ["connection", "live", "stop", "wish", "frame", "plots", "gamepad", "event_log", "replay", "drag_math", "advisor_cards", "hands", "pace", "views", "overlays", "plots", "modes", "follower", "look_at", "dom"].map(load),
+const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { Gamepad, shaped, wishOf }, { csvCell }, { Player, Replay }, drag, { score }, hands, { Pace }, { framed }, { boxesBeside, roomOf }, { axisOf, axisText }, { modesOf }, { Handover, UNSEEN_MS }, { targetsOf }, { anglesOf, dateText, poseText }, { progressText }] = await Promise.all(
+  ["connection", "live", "stop", "wish", "frame", "plots", "gamepad", "event_log", "replay", "drag_math", "advisor_cards", "hands", "pace", "views", "overlays", "plots", "modes", "follower", "look_at", "dom", "routines"].map(load),
 );
 
 // what wish.js and stop.js hear from a page
@@ -338,6 +338,14 @@ test("a frame of another version is told, not guessed at", () => {
   assert.equal(robots[0].focus, null);
   assert.equal(nearest, null);
   assert.deepEqual(readFrame(frame({ focus: [1, 2, 3] })).robots[0].focus, [1, 2, 3]);
+});
+
+test("a routine is told by its step, and by its end with the reason", () => {
+  const routine = { routine: "read_gauge", equipment: "gauge_1", step: 1, steps: 4, text: "look equipment", paused: false, end: "", why: "" };
+  assert.equal(progressText(routine), "read gauge gauge_1: step 2 of 4, look equipment");
+  assert.equal(progressText({ ...routine, paused: true }), "read gauge gauge_1: paused at step 2 of 4, look equipment");
+  assert.equal(progressText({ ...routine, routine: "park", equipment: "", end: "done" }), "park: done");
+  assert.equal(progressText({ ...routine, end: "held", why: "step 2 of 4: stopped" }), "read gauge gauge_1: held. step 2 of 4: stopped");
 });
 
 test("of the robots that are to be looked at none is asked for twice", () => {

@@ -96,3 +96,25 @@ def test_a_configuration_and_a_step_reach_the_driver(bench, desk):
     assert (step.command.rates, step.cycles) == ({"a6": 0.03}, 42)
     ack = desk.send("jog", robot="fr", wish=[0, 0, 0, 0, 0, 0.03], cycles=1001)
     assert ack.text == "cycles: should be less than or equal to 1000, got 1001; bound 1000"
+
+
+def test_a_routine_is_asked_of_the_driver_and_its_progress_is_shown(bench, desk):
+    ack = desk.send("routine", robot="fr", action="turn", routine="turn")
+    assert ack.text.startswith("action: should be 'run', 'pause', 'go_on' or 'abort', got 'turn'")
+    assert desk.send("routine", robot="fr", action="run", routine="../turn").outcome is AckOutcome.REFUSED
+    asked = desk.send("routine", robot="fr", action="run", routine="turn", equipment="valve_1", first=3)
+    assert asked.outcome is ASKED
+    request = bench.driver_requests()[-1]
+    assert (request.routine, request.equipment, request.first) == ("turn", "valve_1", 3)
+    progress = driving.RoutineProgress(
+        routine="turn", equipment="valve_1", step=3, steps=13, text="io gripper on"
+    )
+    report = driving.DriverReport(
+        stage=driving.DriverStage.LEASED,
+        mode=driving.DrivingMode.JOINT,
+        routine=progress,
+        routines={"valve": ("turn",)},
+    )
+    bench.core.driver_said("fr", report, bench.now_s)
+    robot = desk.status().robots["fr"]
+    assert (robot.routine, robot.routines) == (progress, {"valve": ("turn",)})

@@ -14,11 +14,14 @@ from deltaq_controllers.answers import Answers
 from deltaq_controllers.interface import ControllerError, RobotView
 from deltaq_controllers.live import where_others_are
 from deltaq_controllers.operated.pilot import Pilot
+from deltaq_controllers.routines.routine import by_kind
+from deltaq_controllers.routines.shell import LiveRoutine
 from deltaq_protocol.client import Cell
 from deltaq_protocol.driving import (
     REQUESTS,
     Advise,
     ChooseMaster,
+    DoRoutine,
     DriverAnswer,
     DriverMessage,
     DriverReport,
@@ -65,6 +68,7 @@ class OperatedRobot:
         self._told: tuple[float, DriverReport | None] = (0.0, None)
         self._tasks: set[asyncio.Task[None]] = set()
         self._planning = asyncio.Lock()
+        self._routine: LiveRoutine | None = None
 
     async def listen(self, lines: asyncio.StreamReader) -> None:
         """Take requests until the input ends; then the robot comes to rest and is released."""
@@ -106,7 +110,9 @@ class OperatedRobot:
                 self._tasks.add(task)
                 task.add_done_callback(self._tasks.discard)
 
-    async def _do(self, request: GiveCommand | ChooseMaster | Advise | Reach | ReachJoints) -> None:
+    async def _do(
+        self, request: GiveCommand | ChooseMaster | Advise | Reach | ReachJoints | DoRoutine
+    ) -> None:
         text = ""
         try:
             match request:
@@ -123,9 +129,34 @@ class OperatedRobot:
                     )
                 case Reach() | ReachJoints():
                     await self._reach(request)
+                case DoRoutine():
+                    await self._do_routine(request)
         except DeltaqError as error:
             text = str(error)
         self._say(DriverAnswer(id=request.id or "", done=not text, text=text))
+
+    async def _do_routine(self, request: DoRoutine) -> None:
+        running = self._running
+        if request.action == "run":
+            if running is not None:
+                raise ControllerError(f"{running.job.routine} runs already; give it up first")
+            if self._leased is None:
+                raise ControllerError("the robot's lease is not held")
+            self._pilot.rest()
+            self._routine = await asyncio.to_thread(
+                LiveRoutine, self._cell, request.routine, request.equipment, self._robot, request.first
+            )
+        elif running is None:
+            raise ControllerError("no routine runs")
+        elif request.action == "abort":
+            running.run.abort()
+        else:
+            running.run.pause(request.action == "pause")
+
+    @property
+    def _running(self) -> LiveRoutine | None:
+        """The routine that drives the robot now."""
+        return self._routine if self._routine is not None and self._routine.run.end is None else None
 
     async def _switch(self, outputs: Mapping[str, bool]) -> None:
         if not outputs:
@@ -164,6 +195,8 @@ class OperatedRobot:
             trouble = str(error)
         finally:
             self._leased = None
+            if (routine := self._running) is not None:
+                await routine.close()
         if not answered:
             self._say(DriverAnswer(id=take.id, done=False, text=trouble))
         elif trouble:
@@ -200,6 +233,14 @@ class OperatedRobot:
             pilot.take_view(state.view)
             if state.phase is Phase.HELD:
                 pilot.held()
+            if (routine := self._running) is not None:
+                if self._leaving.is_set():
+                    routine.run.leave("the robot was released")
+                await routine.answer(leased, answers, state, cycles, stood)
+                if routine.run.end is not None:
+                    await routine.close()
+                    pilot.begin()
+                continue
             if self._leaving.is_set():
                 pilot.leave()
                 if stood and _has_nothing_ahead(state, answers.own(state)):
@@ -216,7 +257,8 @@ class OperatedRobot:
     async def _report(self) -> None:
         while True:
             stage = DriverStage.FREE if self._leased is None else DriverStage.LEASED
-            report = self._pilot.report(stage)
+            routine = None if self._routine is None else self._routine.progress
+            report = self._pilot.report(stage).model_copy(update={"routines": by_kind(), "routine": routine})
             now_s = time.monotonic()
             told_s, told = self._told
             if report != told or now_s - told_s >= TOLD_AGAIN_S:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -171,6 +172,16 @@ def load_routine(name_or_path: str | Path) -> tuple[str, Routine]:
 def shipped() -> tuple[str, ...]:
     """Names of the routines that come with deltaq."""
     return tuple(sorted(path.stem for path in SHIPPED.glob("*.yaml")))
+
+
+@cache
+def by_kind() -> dict[str, tuple[str, ...]]:
+    """Names of the shipped routines by the kind of equipment that they are for; those that need none under no name."""
+    found: dict[str, tuple[str, ...]] = {}
+    for name in shipped():
+        for kind in load_routine(name)[1].kinds or ("",):
+            found[kind] = (*found.get(kind, ()), name)
+    return found
 
 
 @dataclass(frozen=True)

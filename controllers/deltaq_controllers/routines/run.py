@@ -225,6 +225,11 @@ class RoutineRun:
         """Come to rest, and end where the routine can be taken up again."""
         self._given_up = self._given_up or why
 
+    def lose(self, why: str) -> None:
+        """End at once: the robot can no longer be moved."""
+        if self.end is None:
+            self._close(RunEnd.LEFT, why)
+
     def abort(self) -> None:
         """Come to rest, do what brings the robot to a safe pose, and end."""
         if not self._is_aborting and self.end is None:

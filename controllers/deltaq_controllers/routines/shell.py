@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -37,6 +37,7 @@ from deltaq_controllers.routines.run import (
     SwitchRequest,
 )
 from deltaq_protocol.client import Cell
+from deltaq_protocol.driving import RoutineProgress
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.leased_robot import LeasedRobot
 from deltaq_protocol.messages import Phase, RobotState
@@ -83,6 +84,7 @@ class LiveRoutine:
                 f"step {first + 1}: {self.job.routine} has {len(self.job.steps)} steps; the run is over"
             )
         self._planner = RoutinePlanner(self._model, self.job)
+        self._carrying: asyncio.Task[RoutineAnswer] | None = None
         self._others = where_others_are(cell, self.job.robot)
         model = self._model.robots[self.job.robot]
         self.run = RoutineRun(self.job, model, description.gate.servo_lag_s, description.cycle_s, first)
@@ -98,35 +100,66 @@ class LiveRoutine:
             RefusedError: the lease was lost.
             ServiceUnreachableError: the HLI is gone.
         """
-        carrying: asyncio.Task[RoutineAnswer] | None = None
+        answers, before = Answers(self._cell, leased), None
         try:
-            answers, before = Answers(self._cell, leased), None
             async for state in leased.states():
                 cycles = await answers.due(state)
                 stood, before = before == state.q_cmd, state.q_cmd
-                if carrying is not None and carrying.done():
-                    self.run.take(carrying.result())
-                    carrying = None
-                for cycle in cycles:
-                    view = answers.view(state)
-                    rests = stood and state.q_cmd == tuple(view.own.q_cmd.tolist())
-                    out = self.run.advance(self._seen(state, view, rests))
-                    if isinstance(out, RoutineRequest):
-                        carrying = asyncio.create_task(self._carried_out(leased, out))
-                    elif out is not None:
-                        await answers.send(state, cycle, out)
-                for verdict in answers.verdicts():
-                    self.run.take_verdict(verdict)
+                await self.answer(leased, answers, state, cycles, stood)
                 watch(self.run)
                 if self.run.end is not None:
                     return
         finally:
-            if carrying is not None:
-                carrying.cancel()
-            if self._allowed:
-                with suppress(DeltaqError):
-                    await self._cell.allow_contact(self._allowed, allowed=False)
-            self._record()
+            await self.close()
+
+    async def answer(
+        self,
+        leased: LeasedRobot,
+        answers: Answers,
+        state: RobotState,
+        cycles: Sequence[int],
+        stood: bool,
+    ) -> None:
+        """Answer a state in the cycles that are due; `stood` says that the setpoint has not moved since the last."""
+        if self._carrying is not None and self._carrying.done():
+            self.run.take(self._carrying.result())
+            self._carrying = None
+        for cycle in cycles:
+            view = answers.view(state)
+            rests = stood and state.q_cmd == tuple(view.own.q_cmd.tolist())
+            out = self.run.advance(self._seen(state, view, rests))
+            if isinstance(out, RoutineRequest):
+                self._carrying = asyncio.create_task(self._carried_out(leased, out))
+            elif out is not None:
+                await answers.send(state, cycle, out)
+        for verdict in answers.verdicts():
+            self.run.take_verdict(verdict)
+
+    async def close(self) -> None:
+        """Forbid the contact, and record the run; one that has not ended can no longer go on."""
+        self.run.lose("the lease or the connection was lost")
+        if self._carrying is not None:
+            self._carrying.cancel()
+        if self._allowed:
+            with suppress(DeltaqError):
+                await self._cell.allow_contact(self._allowed, allowed=False)
+        self._record()
+
+    @property
+    def progress(self) -> RoutineProgress:
+        """How far the run is."""
+        run = self.run
+        return RoutineProgress(
+            routine=self.job.routine,
+            equipment=self.job.equipment,
+            step=run.place,
+            steps=len(self.job.steps),
+            text="" if run.present is None or run.end is not None else run.present.text,
+            done=round(min(1.0, run.done), 2),
+            paused=run.is_paused,
+            end="" if run.end is None else run.end.value,
+            why=run.why,
+        )
 
     async def rehearse(self) -> dict[str, Any]:
         """Plan every motion from where the robot is, nothing moving; the report, with the gate's first verdict.

@@ -39,6 +39,7 @@ EXPIRY_S = {
     "advise": _OTHER_S,
     "reach": _OTHER_S,
     "reach_joints": _OTHER_S,
+    "routine": _OTHER_S,
     "record": _OTHER_S,
     "replay": _OTHER_S,
 }
@@ -182,6 +183,12 @@ class DragJoints(ConsoleCommand, driving.ReachJoints):
     robot: Name
 
 
+class AskRoutine(ConsoleCommand, driving.DoRoutine):
+    """Run a routine, pause it, go on with it, or give it up."""
+
+    robot: Name
+
+
 class DryRun(ConsoleCommand):
     """The gate's verdict on an increment (n,) in the present state [rad or m]; nothing moves."""
 
@@ -204,7 +211,7 @@ class ReplayShown(ConsoleCommand):
     shown: bool
 
 
-PassedOn = SetMaster | AskAdvisor | DragPose | DragJoints
+PassedOn = SetMaster | AskAdvisor | DragPose | DragJoints | AskRoutine
 """Requests of a robot's driver, as a browser sends them."""
 DriverCommand = SetMode | SetOutput | PassedOn
 """What a robot's driver is asked to do."""

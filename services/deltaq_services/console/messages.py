@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from deltaq_protocol.driving import DrivingMode, Fraction, Frame, Grip, HandsOff, Search, Way
+from deltaq_protocol.driving import DrivingMode, Fraction, Frame, Grip, HandsOff, RoutineProgress, Search, Way
 from deltaq_protocol.messages import Count, Message, Outcome, Phase, Real, Reason, RobotState, Sight, Verdict
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 
@@ -134,7 +134,8 @@ class RobotStatusView(Message):
     grip; `hands_off` is present once the end effectors hold an object. `master` names the robot that leads an end
     effector, with its displacement times `master_scale`; empty if none was chosen. `search` is present in modes that
     offer paths, which come in `WaysView`. `looks_at` is the target of its camera in words, and `sight` how well the
-    controller sees it, if it says so; `targets` are the robots that it was asked to look at.
+    controller sees it, if it says so; `targets` are the robots that it was asked to look at. `routines` and `routine`
+    are those of its driver.
     """
 
     phase: Phase
@@ -155,6 +156,8 @@ class RobotStatusView(Message):
     looks_at: str = ""
     targets: tuple[str, ...] = ()
     search: Search | None = None
+    routines: dict[str, tuple[str, ...]] = {}
+    routine: RoutineProgress | None = None
     bound: Bound | None = None
     outputs: dict[SignalState, bool] = {}
     inputs: dict[SignalState, bool] = {}

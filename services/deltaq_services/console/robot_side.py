@@ -29,7 +29,18 @@ from deltaq_services.console.seat import Seat
 MOST_M_S, MOST_RAD_S = 0.5, 1.5
 """Greatest speeds at which a hand is moved by hand [m/s, rad/s]."""
 _TWIST = 6
-_OF_DRIVER = ("mode", "frame", "grip", "hands_off", "master", "master_scale", "goes_through", "search")
+_OF_DRIVER = (
+    "mode",
+    "frame",
+    "grip",
+    "hands_off",
+    "master",
+    "master_scale",
+    "goes_through",
+    "search",
+    "routines",
+    "routine",
+)
 """Fields of a driver's report that go to its browser unchanged."""
 
 

@@ -18,7 +18,9 @@ import numpy as np
 import pinocchio as pin
 
 from deltaq_cell.cell_model import CellModel, joint_axis
+from deltaq_cell.description import CellDescription
 from deltaq_cell.robot import RobotModel
+from deltaq_cell.roles import RoleError, camera_roles
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.pad_layout import PAD_LAYOUT, VIEW_RANGE_M, VIEW_STEP_M
 from deltaq_services.console.feed import OUTCOMES, PHASES
@@ -61,6 +63,7 @@ def scene_of(cell: CellModel, emulated: bool) -> BrowserScene:
             {"name": body.name, **_shape(body, meshes), "T_world": _columns(body.placement)}
             for body in cell.structure
         ],
+        "equipment": list(_equipment(cell.description)),
         "bodies": names,
         "body_links": [_drawn_by(name, links) for name in names],
         "pad": pad_document(),
@@ -68,6 +71,17 @@ def scene_of(cell: CellModel, emulated: bool) -> BrowserScene:
         "outcomes": list(OUTCOMES),
     }
     return BrowserScene(document, meshes, tuple(names))
+
+
+def _equipment(cell: CellDescription) -> Iterator[dict[str, Any]]:
+    """Items of equipment, each with the robot that works on it."""
+    try:
+        leader = camera_roles(cell).leader
+    except RoleError:  # no camera
+        leader = next(iter(cell.robots))
+    for name, item in cell.equipment.items():
+        bodies = [f"structure/{body}" for body in item.bodies]
+        yield {"name": name, "kind": item.kind, "robot": item.robot or leader, "bodies": bodies}
 
 
 def pad_document() -> dict[str, Any]:

@@ -64,7 +64,7 @@ export async function showCell(holder, live, stop, look) {
   const wish = new Wish(live, driven);
   const ways = new Ways(live);
   const wayPicture = new WayPicture(stage, views);
-  const context = { live, scene, driven, wish, stage, views, ways, picture: wayPicture, thumbnails: new Thumbnails(stage), follower: picture };
+  const context = { live, scene, driven, wish, stage, structure, views, ways, picture: wayPicture, thumbnails: new Thumbnails(stage), follower: picture };
   const axes = jogAxes(context);
   const { ask, pose, hands } = drivingPanel(context);
   const player = replayBar(live, scene);

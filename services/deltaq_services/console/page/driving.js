@@ -9,12 +9,13 @@ import { lookAtPanel } from "./look_at.js";
 import { masterPanel } from "./master.js";
 import { MODES, modesOf } from "./modes.js";
 import { posePanel } from "./pose_panel.js";
+import { routinesPanel } from "./routines.js";
 
 const TAKE_OVER_MS = 1000;
 const [LATE_MS, STARTS_MS, TOLD_MS] = [5000, 60000, 4000]; // before a robot is taken its driver may have to start
 const TITLES = {
   take: "Take control", take_over: "Take over", release: "Release", grant: "Hand over", refuse: "Keep it",
-  lease: "Ask for it", reset: "Reset", mode: "Mode", output: "Output", view_distance: "View distance", look_at: "Looks at", choose_master: "Master", advise: "Options",
+  lease: "Ask for it", reset: "Reset", mode: "Mode", output: "Output", view_distance: "View distance", look_at: "Looks at", choose_master: "Master", advise: "Options", routine: "Routine",
 };
 const ANSWERS = {
   done: () => "done", asked: () => "asked", refused: (text) => `refused, ${text}`, expired: (text) => `not done, ${text}`,
@@ -228,9 +229,10 @@ export function drivingPanel(context) {
   const hands = handsPanel(context, ask);
   const master = masterPanel(context, ask);
   const lookAt = lookAtPanel(context, ask);
+  const routines = routinesPanel(context, ask);
   body.append(
     el("section", { class: "card" }, el("div", { class: "place" }, answer, phase, remedy, lease), el("div", { class: "row" }, ...Object.values(verbs), takeOver, reset, resetAll)),
-    modeBox, hands.box, moveBox, advisor.box, pose.box, zoom, lookAt.box, master.box, signals,
+    modeBox, hands.box, moveBox, advisor.box, pose.box, zoom, lookAt.box, master.box, routines.box, signals,
   );
 
   function show() {
@@ -276,6 +278,7 @@ export function drivingPanel(context) {
     hands.show();
     master.show();
     lookAt.show();
+    routines.show();
     zoom.hidden = robot.mode !== "follow" && !(outside && driven.scenery.camera);
     distance.disabled = !!locked; // whoever follows with the robot takes it, here or elsewhere
     // a follower elsewhere that nobody told another distance does not say which it keeps: then the one that is seen
