@@ -12,6 +12,7 @@ endian:
 
 from __future__ import annotations
 
+import socket
 import struct
 from dataclasses import dataclass
 from hashlib import blake2b
@@ -48,11 +49,10 @@ class VideoStream:
 def video_streams(cell: CellDescription) -> tuple[VideoStream, ...]:
     """The eyes of a cell's cameras that name a source."""
     return tuple(
-        VideoStream(name, f"{name}{eye}", source)
+        VideoStream(name, f"{name}{end}", source)
         for name, robot in cell.robots.items()
         if robot.camera is not None
-        for eye, source in (("", robot.camera.source), (".right", robot.camera.source_right))
-        if source is not None
+        for end, source in robot.camera.eyes.items()
     )
 
 
@@ -64,6 +64,11 @@ def video_socket(cell: CellDescription, stream: str) -> Path:
     """
     place = f"{cell.cell} {cell.console_address} {cell.console_port} {stream}"
     return runtime_folder() / f"video-{blake2b(place.encode(), digest_size=8).hexdigest()}"
+
+
+def pictures_of(recording: Path) -> Path:
+    """The folder beside a recording with the live pictures that it refers to."""
+    return recording.with_suffix(".video")
 
 
 @dataclass(frozen=True)
@@ -97,6 +102,22 @@ class VideoMessage:
         if kind == WORDS:
             return cls(number, captured_s, unchanged_s, words=body.decode())
         return cls(number, captured_s, unchanged_s, jpeg=body)
+
+
+def newest_picture(path: Path, within_s: float) -> VideoMessage:
+    """Ask the service at a socket for its next picture.
+
+    Raises:
+        OSError: it does not run, or does not answer within that time.
+        ValueError: what answers is no such service.
+    """
+    with socket.socket(socket.AF_UNIX) as asking:
+        asking.settimeout(within_s)
+        asking.connect(str(path))
+        asking.sendall(ASK)
+        with asking.makefile("rb") as answer:
+            length = int.from_bytes(answer.read(LENGTH.size), "little")
+            return VideoMessage.unpacked(answer.read(min(length, MOST_BYTES)))
 
 
 def on_clock(message: bytes, epoch_s: float) -> bytes:

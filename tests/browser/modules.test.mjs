@@ -564,7 +564,7 @@ test("a saved event cannot become a formula of a spreadsheet", () => {
 });
 
 const RECORDED = {
-  name: "run.mcap", begin_s: null, period_s: 0.04, notices: [],
+  name: "run.mcap", begin_s: null, period_s: 0.04, notices: [], pictures: { fr: [[0.02, "fr-0000001.jpg"], [0.06, "fr-0000002.jpg"]] },
   robots: { fr: { q: [[0], [1], [1], null], phase: [2, 2, 4, -1], outcome: [0, 2, null, null], clearance_m: [0.1, null, null, null], focus: [[1, 2, 3], [1, 3, 3], null, null] } },
   nearest: [[0, "fr/link_1", "tank", 0.2, [0, 0, 0], [0, 0, 1]]],
   verdicts: [
@@ -589,6 +589,16 @@ test("what a camera looked at is marked as it was recorded, and not where that i
   assert.deepEqual(shown.frame(0.01).robots[0].focus, [1, 2.25, 3]);
   assert.deepEqual(shown.frame(0.06).robots[0].focus, [1, 3, 3]);
   assert.equal(shown.frame(0.09).robots[0].focus, null);
+});
+
+test("a recording tells the picture that was the newest at each moment", () => {
+  const shown = replay();
+  shown.frame(0.01);
+  assert.equal(shown.picture("fr"), null);
+  shown.frame(0.05);
+  assert.equal(shown.picture("fr").url, "/recordings/run.mcap/fr-0000001.jpg");
+  assert.equal(Math.round(shown.picture("fr").age_ms), 30);
+  assert.deepEqual([shown.hasPictures("fr"), shown.hasPictures("gr"), shown.picture("gr")], [true, false, null]);
 });
 
 test("the next refusal is found from wherever one is, and what binds is told then only", () => {

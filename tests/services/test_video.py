@@ -9,6 +9,8 @@ import sys
 import time
 from contextlib import contextmanager
 from types import MappingProxyType
+from urllib.error import HTTPError
+from urllib.request import Request, urlopen
 
 import av
 import numpy as np
@@ -21,10 +23,15 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_cell.load import load_cell
 from deltaq_deploy.launch.probes import probe
 from deltaq_deploy.launch.services import video_services
+from deltaq_protocol import topics
 from deltaq_protocol.errors import ServiceUnreachableError
+from deltaq_protocol.messages import Phase, RobotState
+from deltaq_services.recorder.pictures import PICTURE, PictureKeeper
+from deltaq_services.recorder.replayed import replayed
+from deltaq_services.recorder.writer import RecordingWriter
 from deltaq_services.video.core import CaptureClock, MovingPattern, PictureLimit, shown_size, stamp_of
 from deltaq_services.video.shell import Encoder
-from deltaq_services.video_stream import ASK, LENGTH, MOST_BYTES, VideoMessage, video_socket
+from deltaq_services.video_stream import ASK, LENGTH, MOST_BYTES, VideoMessage, video_socket, video_streams
 from deltaq_testing.private_cell import write_private_cell
 
 TOKEN = "0123456789abcdef-desk"
@@ -221,6 +228,46 @@ def test_equal_pictures_are_told_as_unchanged(tmp_path, log):
     with process(file, log), Reader(file) as reader:
         assert reader.until(picture).unchanged_s < 1.0
         assert reader.until(lambda message: message.unchanged_s > 1.5).jpeg
+
+
+@pytest.mark.service
+async def test_a_recording_refers_to_the_pictures_that_were_shown(tmp_path, log):
+    file, run = cell_with(tmp_path, "test"), tmp_path / "run.mcap"
+    cell = CellModel.load(file)
+    (stream,) = video_streams(cell.description)
+    kept = []
+    with process(file, log), PictureKeeper(stream, video_socket(cell.description, "fr"), run, kept.append):
+        wait_for(lambda: len(kept) >= 3)
+    with RecordingWriter(run, cell.description_message(), "live") as writer:
+        home = cell.robots["fr"].home.tolist()
+        pose = cell.robots["fr"].tool_pose(cell.robots["fr"].home)
+        state = RobotState(
+            robot="fr", cycle=1, ipoc=1, time_s=0.0, q=home, q_cmd=home, tool=pose, phase=Phase.READY
+        )
+        begin_ns = round(1e9 * kept[0].captured_s) - 10**9
+        writer.publish(topics.STATE, state, begin_ns)
+        for reference in kept:
+            writer.publish(PICTURE, reference, round(1e9 * reference.captured_s) + 10**7)
+    pictures = replayed(run, str(cell.identity))["pictures"]["fr"]
+    assert [name for _, name in pictures] == [reference.file for reference in kept]
+    assert pictures[0][0] == pytest.approx(1.0, abs=1e-3)
+    token = {"Authorization": f"Bearer {TOKEN}"}
+    async with served(tmp_path, TOKEN, cell, recordings=tmp_path) as (_, host):
+
+        async def fetched(name, **headers):
+            request = Request(f"http://{host}/recordings/run.mcap/{name}", headers=headers)
+            with await asyncio.to_thread(urlopen, request, timeout=PATIENCE_S) as answer:
+                return answer.read()
+
+        for time_s, name in pictures:
+            stamp_ms = stamp_of(luma(await fetched(name, **token)))
+            assert stamp_ms == pytest.approx(begin_ns / 1e6 + 1e3 * time_s, abs=100)
+        (tmp_path / "run.video" / "fr-9999999.jpg").symlink_to(file)
+        for name, headers in ((pictures[0][1], {}), ("fr-9999999.jpg", token), ("..%2Fprivate.yaml", token)):
+            with pytest.raises(HTTPError) as refused:
+                await fetched(name, **headers)
+            assert refused.value.code in (403, 404)
+            refused.value.close()
 
 
 @pytest.mark.service

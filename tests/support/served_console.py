@@ -22,11 +22,16 @@ from deltaq_testing.private_cell import write_private_cell
 
 @asynccontextmanager
 async def served(
-    folder: Path, token: str = "", cell: CellModel | None = None, operator_token: str | None = None
+    folder: Path,
+    token: str = "",
+    cell: CellModel | None = None,
+    operator_token: str | None = None,
+    recordings: Path | None = None,
 ) -> AsyncIterator[tuple[Console, str]]:
     """A console and where it is reached; without a cell, one whose HLI is not there."""
     cell = cell or CellModel.load(write_private_cell(folder))
-    settings = Settings("lab", True, "127.0.0.1", cell.description.console_port, token, operator_token)
+    port = cell.description.console_port
+    settings = Settings("lab", True, "127.0.0.1", port, token, operator_token, recordings=recordings)
     console = Console(cell, settings)
     server = server_of(application(console, settings))
     with listening_socket(settings) as listening:

@@ -145,6 +145,12 @@ class Camera(DescriptionModel):
     source_right: VideoSource | None = None
     """The same of the right eye of a stereo camera; `source` is then that of the left eye."""
 
+    @property
+    def eyes(self) -> dict[str, str]:
+        """The sources of its live pictures by the ends of their names: that of the right eye is `.right`."""
+        given = {"": self.source, ".right": self.source_right}
+        return {end: source for end, source in given.items() if source is not None}
+
     @model_validator(mode="after")
     def _has_a_source_for_either_eye(self) -> Self:
         if self.source_right is not None and (self.source is None or not self.baseline_m):

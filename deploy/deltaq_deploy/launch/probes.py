@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import socket
-import struct
 import time
 from dataclasses import dataclass
 from typing import assert_never
@@ -19,7 +18,7 @@ from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.envelope import message_in
 from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
 from deltaq_protocol.guarded import Health
-from deltaq_services.video_stream import ASK, LENGTH, MOST_BYTES, VideoMessage, video_socket
+from deltaq_services.video_stream import newest_picture, video_socket
 
 TIMEOUT_S = 3.0
 
@@ -131,14 +130,8 @@ def _ask_web(name: str, endpoint: str) -> ProbeAnswer:
 
 def _ask_video(name: str, stream: str, cell: CellDescription) -> ProbeAnswer:
     try:
-        with socket.socket(socket.AF_UNIX) as asking:
-            asking.settimeout(TIMEOUT_S)
-            asking.connect(str(video_socket(cell, stream)))
-            asking.sendall(ASK)
-            with asking.makefile("rb") as answer:
-                (length,) = LENGTH.unpack(answer.read(LENGTH.size))
-                message = VideoMessage.unpacked(answer.read(min(length, MOST_BYTES)))
-    except (OSError, ValueError, struct.error) as error:
+        message = newest_picture(video_socket(cell, stream), TIMEOUT_S)
+    except (OSError, ValueError) as error:
         raise _silent(name, stream) from error
     return ProbeAnswer(not message.words, message.words or "pictures come")
 

@@ -16,8 +16,10 @@ from typing import Any
 
 from deltaq_protocol.log import message_of
 from deltaq_services.console.driver_process import ConsoleProgram
+from deltaq_services.video_stream import pictures_of
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,120}\.mcap")
+_PICTURE = re.compile(r"[a-z][a-z0-9_.-]{0,80}-[0-9]{7}\.jpg")
 _MOST_LISTED = 500
 _ENDS_WITHIN_S, _READ_WITHIN_S = 10.0, 300.0
 _LONGEST_TOLD = 300
@@ -67,6 +69,13 @@ class RecordingFolder:
         file = self.path / name
         if not _NAME.fullmatch(name) or not self._is_recording(file):
             raise NoSuchRecordingError(f"name: the folder has no recording {name[:80]!r}")
+        return file
+
+    def picture(self, name: str, picture: str) -> Path:
+        """A picture that a recording refers to; raises as `file` does."""
+        file = pictures_of(self.file(name)) / picture
+        if not _PICTURE.fullmatch(picture) or file.is_symlink() or not file.is_file():
+            raise NoSuchRecordingError(f"picture: recording {name[:80]!r} has no picture {picture[:80]!r}")
         return file
 
     @staticmethod

@@ -24,7 +24,6 @@ from deltaq_cell.roles import RoleError, camera_roles
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.pad_layout import PAD_LAYOUT, VIEW_RANGE_M, VIEW_STEP_M
 from deltaq_services.console.feed import OUTCOMES, PHASES
-from deltaq_services.video_stream import VideoStream, video_streams
 
 MESHES = "/meshes"
 """Path under which meshes are served."""
@@ -50,8 +49,7 @@ def scene_of(cell: CellModel, emulated: bool) -> BrowserScene:
     meshes: dict[str, str] = {}
     names = [body.name for robot in cell.robots.values() for body in robot.geometry.geometryObjects]
     names += [body.name for body in cell.structure]
-    streams = video_streams(cell.description)
-    robots = [_robot(robot, meshes, streams) for robot in cell.robots.values()]
+    robots = [_robot(robot, meshes) for robot in cell.robots.values()]
     links = [link["name"] for robot in robots for link in robot["links"]]
     document = {
         "cell": cell.description.cell,
@@ -99,7 +97,7 @@ def _drawn_by(body: str, links: Sequence[str]) -> str:
     return max(owners, key=len, default=body)
 
 
-def _robot(robot: RobotModel, meshes: dict[str, str], streams: Sequence[VideoStream]) -> dict[str, Any]:
+def _robot(robot: RobotModel, meshes: dict[str, str]) -> dict[str, Any]:
     model = robot.model
     camera = robot.description.camera
     return {
@@ -122,7 +120,7 @@ def _robot(robot: RobotModel, meshes: dict[str, str], streams: Sequence[VideoStr
             "T_joint_camera": _columns(_on_joint(robot, robot.frame_of("camera"))),
             "fov_rad": float(np.deg2rad(camera.vertical_view_deg)),
             "baseline_m": camera.baseline_m or None,
-            "video": [stream.name for stream in streams if stream.robot == robot.name],
+            "video": [f"{robot.name}{end}" for end in camera.eyes],
         },
         "home": robot.home.tolist(),
         "outputs": list(robot.description.outputs),

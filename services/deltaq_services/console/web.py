@@ -121,6 +121,7 @@ def application(console: Console, settings: Settings) -> Starlette:
             Route(MESHES + "/{name}", served.mesh),
             Route("/recordings", served.recordings),
             Route("/recordings/{name}", served.recording),
+            Route("/recordings/{name}/{picture}", served.picture),
             WebSocketRoute("/live", served.live),
             WebSocketRoute("/video/{name}", served.video),
             Mount("/", _Page(directory=_PAGE, html=True)),
@@ -188,6 +189,17 @@ class _Served:
         except BusyError as error:
             return _told(503, str(error))
         return Response(document, media_type="application/json")
+
+    async def picture(self, request: Request) -> Response:
+        """A live picture as a recording has it."""
+        refused = self._refused(request)
+        if refused is not None or self._console.folder is None:
+            return refused or Response(status_code=404)
+        try:
+            file = self._console.folder.picture(**request.path_params)
+        except NoSuchRecordingError as error:
+            return _told(404, str(error))
+        return Response(file.read_bytes(), media_type="image/jpeg")
 
     def _refused(self, request: Request) -> Response | None:
         """Why a request gets no recording: those have the audit log's entries too, and are for operators."""

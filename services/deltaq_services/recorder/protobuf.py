@@ -21,6 +21,7 @@ from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import Message
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.topics import TOPICS
+from deltaq_services.recorder.pictures import PICTURE
 
 PACKAGE = "deltaq"
 _FILE = "deltaq.proto"
@@ -106,7 +107,7 @@ def to_message(message_type: type[M], source: Any) -> M:
 @cache
 def recorded_schema() -> ProtobufSchema:
     """Descriptors of all messages that a recording holds."""
-    return ProtobufSchema(topic.message for topic in TOPICS if topic.recorded)
+    return ProtobufSchema(topic.message for topic in (*TOPICS, PICTURE) if topic.recorded)
 
 
 @cache

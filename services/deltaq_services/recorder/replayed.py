@@ -20,6 +20,7 @@ from deltaq_protocol.identity import CellIdentity, mismatch
 from deltaq_protocol.messages import Outcome, Phase, Proximity, RobotState, Verdict
 from deltaq_protocol.reasons import EXPLANATIONS
 from deltaq_services.process import run
+from deltaq_services.recorder.pictures import PICTURE, PictureReference
 from deltaq_services.recorder.reader import Recording
 
 PERIOD_S = 0.04
@@ -48,7 +49,7 @@ def replayed(path: Path, identity: str, most_ticks: int = MOST_TICKS) -> dict[st
 
     It has `name`, `source`, `begin_s` (time of day, if recorded live), the step `period_s`, for each of `robots` a list
     a step of `q`, `phase`, `outcome`, `clearance_m` and `focus`, `nearest` (the nearest pair of each step), `verdicts`
-    (those other than admitted) and `notices` of damage.
+    (those other than admitted), `pictures` (of each live stream time and file) and `notices` of damage.
 
     Args:
         path: the file.
@@ -66,7 +67,7 @@ def replayed(path: Path, identity: str, most_ticks: int = MOST_TICKS) -> dict[st
         raise OtherCellRecordedError(mismatch(path.name, theirs, ours))
     track = _Track(recording.robots, most_ticks)
     begin_ns: int | None = None
-    for item in recording.messages((topics.STATE, topics.VERDICT, topics.PROXIMITY)):
+    for item in recording.messages((topics.STATE, topics.VERDICT, topics.PROXIMITY, PICTURE)):
         begin_ns = item.time_ns if begin_ns is None else begin_ns
         time_s = (item.time_ns - begin_ns) / 1e9
         track.go_on(time_s)
@@ -75,6 +76,9 @@ def replayed(path: Path, identity: str, most_ticks: int = MOST_TICKS) -> dict[st
                 track.states[state.robot] = (time_s, state)
             case Verdict() as verdict:
                 track.take_verdict(verdict, time_s)
+            case PictureReference() as kept:
+                taken_s = round(kept.captured_s - begin_ns / 1e9, 3)
+                track.pictures.setdefault(kept.stream, []).append((taken_s, kept.file))
             case Proximity(pairs=pairs) if pairs:
                 near = pairs[0]
                 track.nearest.append([time_s, *near.pair, near.distance_m, *near.points_m])
@@ -89,6 +93,7 @@ def replayed(path: Path, identity: str, most_ticks: int = MOST_TICKS) -> dict[st
         "robots": track.ticks,
         "nearest": track.nearest,
         "verdicts": track.verdicts,
+        "pictures": track.pictures,
         "notices": recording.notices,
     }
 
@@ -104,6 +109,7 @@ class _Track:
         }
         self.nearest: list[list[Any]] = []
         self.verdicts: list[dict[str, Any]] = []
+        self.pictures: dict[str, list[tuple[float, str]]] = {}
         self._newest: dict[str, tuple[float, Verdict]] = {}
         self._last: dict[tuple[Any, ...], dict[str, Any]] = {}
         self._most_ticks = most_ticks

@@ -6,6 +6,7 @@ is too slow to take.
 
 from __future__ import annotations
 
+import contextlib
 import queue
 import time
 from collections.abc import Callable
@@ -16,7 +17,7 @@ from deltaq_cell.description import CellDescription
 from deltaq_cell.identity import content_identity
 from deltaq_protocol import topics
 from deltaq_protocol.blocking import connect
-from deltaq_protocol.codec import InvalidMessageError, unpack
+from deltaq_protocol.codec import InvalidMessageError, pack, unpack
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.guarded import GateEntry, GateMemory
 from deltaq_protocol.identity import CellIdentity, mismatch
@@ -24,7 +25,9 @@ from deltaq_protocol.sayings import SIM
 from deltaq_protocol.topic import Kind, Party, Realm, Topic
 from deltaq_services.guarded_realm import open_watching_session
 from deltaq_services.process import HeldInterrupts
+from deltaq_services.recorder.pictures import PICTURE, PictureKeeper, PictureReference
 from deltaq_services.recorder.writer import RecordingWriter
+from deltaq_services.video_stream import video_socket, video_streams
 
 _MOST_WAITING = 20_000
 """Messages that may wait to be written: some ten seconds of a cell."""
@@ -80,11 +83,17 @@ class Recorder:
         self._session.declare_subscriber(audit.key(cell.cell), lambda sample: self._put(audit, sample))
         # one subscriber for both, so that a snapshot keeps its place among the entries
         self._session.declare_subscriber(topics.GATE_KEYS.format(cell=cell.cell), self._put_gate)
+        self._keepers = contextlib.ExitStack()
+        for stream in video_streams(cell):
+            self._keepers.enter_context(
+                PictureKeeper(stream, video_socket(cell, stream.name), path, self._put_picture)
+            )
 
     def __enter__(self) -> Recorder:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._keepers.close()
         self._session.close()
         self.writer.close()
 
@@ -128,6 +137,9 @@ class Recorder:
             self._came.put((topic, sample.payload.to_bytes(), time.time_ns()))
         else:
             self.lost += 1
+
+    def _put_picture(self, kept: PictureReference) -> None:
+        self._came.put((PICTURE, pack(kept), time.time_ns()))
 
     def _put_gate(self, sample: Any) -> None:
         is_memory = str(sample.key_expr).endswith("/memory")

@@ -63,6 +63,7 @@ export class FollowerPicture {
     stage.afterEach((renderer) => this._draw(renderer));
     for (const kind of ["line", "replay"]) live.addEventListener(kind, () => this._drawAnew());
     document.addEventListener("visibilitychange", () => this._drawAnew());
+    live.addEventListener("shown", () => live.replay && this.eyes.forEach((video) => video.showRecorded(live.replay.picture(video.name))));
     if (this.videos.flat().length) setInterval(() => this._lookAtLive(), LOOK_MS);
   }
 
@@ -75,9 +76,11 @@ export class FollowerPicture {
     return this.view.robot.camera;
   }
 
-  /** Whether the live picture is shown: of a camera that has one, to operators, as long as no recording is. */
+  /** Whether the live picture is shown, or that of a recording with one: to operators. */
   get isLive() {
-    return this.settings.video.length > 0 && this._source.value !== MODEL && !this.live.replay && !!this.live.hello?.operator;
+    const [name] = this.settings.video;
+    if (!name || this._source.value === MODEL || !this.live.hello?.operator) return false;
+    return !this.live.replay || this.live.replay.hasPictures(name);
   }
 
   /** The live pictures that are shown, none, one, or those of both eyes. */
@@ -126,7 +129,7 @@ export class FollowerPicture {
   _drawAnew() {
     this._inset = null;
     const eyes = this.eyes;
-    for (const video of this.videos.flat()) video.isOn = eyes.includes(video) && !document.hidden;
+    for (const video of this.videos.flat()) video.isOn = eyes.includes(video) && !document.hidden && !this.live.replay;
     this._screen.hidden = !eyes.length;
     this._screen.replaceChildren(...eyes.map(({ canvas }) => canvas), this._fault);
     this._source.hidden = !this.settings.video.length;
@@ -140,7 +143,9 @@ export class FollowerPicture {
     const fault = eyes.map((video) => video.fault).find((words) => words) ?? "";
     this._screen.toggleAttribute("data-fault", !!fault);
     say(this._fault, fault && `The live picture is ${fault}`);
-    say(this._age, eyes.length && !fault ? `live ${Math.max(...eyes.map((video) => video.glass_ms)).toFixed(0)} ms` : "live");
+    const glass_ms = Math.max(...eyes.map((video) => video.glass_ms));
+    if (this.live.replay) say(this._age, "recorded");
+    else say(this._age, eyes.length && !fault ? `live ${glass_ms.toFixed(0)} ms` : "live");
   }
 
   /** Show another camera where this one has lost its target and the other sees its own. */

@@ -23,11 +23,12 @@ const between = (from, to, share) => from.map((value, k) => value + share * (to[
 export class Replay {
   /** @param document as /recordings/NAME has it; scene of the cell. */
   constructor(document, scene) {
-    const { name, begin_s, period_s, robots, nearest, verdicts, notices } = document;
+    const { name, begin_s, period_s, robots, nearest, verdicts, pictures, notices } = document;
     Object.assign(this, { name, begin_s, period_s, nearest, verdicts, notices, scene, time_s: 0 });
     this._robots = scene.robots.map(({ name: robot }) => robots[robot]);
     this._places = new Map(scene.bodies.map((body, place) => [body, place]));
     this._nearestTimes = nearest.map(([time]) => time);
+    this._pictures = new Map(Object.entries(pictures).map(([stream, rows]) => [stream, { rows, times: rows.map(([time]) => time) }]));
     this._verdictTimes = verdicts.map(({ time_s }) => time_s);
     this.length_s = Math.max(0, (this._robots[0].q.length - 1) * period_s);
   }
@@ -69,6 +70,17 @@ export class Replay {
     const [, first, second, distance, from, to] = row;
     const [a, b] = [this._places.get(first), this._places.get(second)];
     return a === undefined || b === undefined ? null : { a, b, distance, points: [from, to] };
+  }
+
+  hasPictures(stream) {
+    return this._pictures.has(stream);
+  }
+
+  /** The picture of a live stream that was the newest then: its address, and its age [ms]; null before the first. */
+  picture(stream) {
+    const { rows, times } = this._pictures.get(stream) ?? { rows: [], times: [] };
+    const row = rows[countUntil(times, this.time_s) - 1];
+    return row ? { url: `/recordings/${encodeURIComponent(this.name)}/${row[1]}`, age_ms: 1000 * (this.time_s - row[0]) } : null;
   }
 
   /** Lines of the list whose verdicts are given now, by their places. */

@@ -3,6 +3,7 @@
 import { el } from "./dom.js";
 
 export const OLD_MS = 400; // as a state that is older is not driven by
+const RECORDED_MS = 200; // between two pictures of a recording
 const FROZEN_S = 1; // equal for so long: a camera that stands still sees noise
 const AHEAD = 2; // pictures that are asked for at a time
 const SILENT_MS = 5000;
@@ -22,18 +23,34 @@ export class Video {
     if (isOn === !!this._watch) return;
     clearInterval(this._watch);
     this._watch = isOn ? setInterval(() => this._look(), RETRY_MS[0]) : null;
+    if (isOn) Object.assign(this, { _recorded: null, _shownUrl: null, captured_ms: NaN });
     if (isOn) this._connect();
     else this._drop("");
   }
 
-  /** Age of the picture that is shown [ms]: from capture, on the console's clock. */
+  /** Show a picture of a recording, as `Replay` tells it; null for none. The newest that was asked for is shown last. */
+  async showRecorded(picture) {
+    this._recorded = picture ?? { url: "", age_ms: NaN };
+    if (this._recorded.url === this._shownUrl || this._isFetching) return;
+    this._isFetching = true;
+    const { url } = this._recorded;
+    const token = new URLSearchParams(location.search).get("token");
+    const answer = url ? await fetch(url, token ? { headers: { Authorization: `Bearer ${token}` } } : {}).catch(() => null) : null;
+    if (answer?.ok) await this._draw(await answer.blob());
+    else this._context.clearRect(0, 0, this.canvas.width, this.canvas.height);
+    this.words = url && !answer?.ok ? "its picture is not kept" : "";
+    Object.assign(this, { _shownUrl: url, _isFetching: false });
+  }
+
+  /** Age of the picture that is shown [ms]: from capture, on the console's clock, or in the recording. */
   get age_ms() {
+    if (this._recorded) return this.words ? NaN : this._recorded.age_ms - RECORDED_MS;
     return this.connection.now() + this.connection.ahead_ms - this.captured_ms;
   }
 
   /** What is wrong with what is shown, in words; empty if it is live. */
   get fault() {
-    if (this.age_ms < OLD_MS) return this.unchanged_s < FROZEN_S ? "" : `frozen: no pixel has changed for ${this.unchanged_s.toFixed(0)} s`;
+    if (this.age_ms < OLD_MS) return this._recorded || this.unchanged_s < FROZEN_S ? "" : `frozen: no pixel has changed for ${this.unchanged_s.toFixed(0)} s`;
     const age = Number.isFinite(this.age_ms) ? `old: ${(this.age_ms / 1000).toFixed(1)} s` : "none yet";
     return this.words ? `${age} (${this.words})` : age;
   }
@@ -78,16 +95,22 @@ export class Video {
     this._ask(socket);
   }
 
-  async _show(socket, head, jpeg) {
-    const captured_ms = 1000 * head.getFloat64(8, true);
+  /** Draw a JPEG, if it still is to be shown once it is decoded; returns whether it was drawn. */
+  async _draw(jpeg, isWanted = () => true) {
     const bitmap = await createImageBitmap(jpeg).catch(() => null);
-    if (!bitmap || socket !== this._socket || captured_ms < this.captured_ms) return;
+    if (!bitmap || !isWanted()) return false;
     if (this.canvas.width !== bitmap.width || this.canvas.height !== bitmap.height) {
       Object.assign(this.canvas, { width: bitmap.width, height: bitmap.height });
       this.resized();
     }
     this._context.drawImage(bitmap, 0, 0);
     bitmap.close();
+    return true;
+  }
+
+  async _show(socket, head, jpeg) {
+    const captured_ms = 1000 * head.getFloat64(8, true);
+    if (!(await this._draw(jpeg, () => socket === this._socket && !(captured_ms < this.captured_ms)))) return;
     Object.assign(this, { captured_ms, unchanged_s: head.getFloat32(16, true), words: "", _attempt: 0 });
     // the frame after next of the screen has it
     requestAnimationFrame(() => requestAnimationFrame(() => (this.glass_ms = this.connection.now() + this.connection.ahead_ms - captured_ms)));
