@@ -3,12 +3,12 @@
 import json
 import os
 import shutil
-import subprocess
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from ran import ran
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_services.console.scene import pad_document, scene_of
@@ -29,14 +29,7 @@ def node(*arguments, text=""):
         "DELTAQ_BROWSER_MODULES": MODULES.as_uri(),
         "DELTAQ_PAD": json.dumps(pad_document()),
     }
-    return subprocess.run(
-        [NODE, "--no-warnings", *arguments],
-        input=text,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    return ran([NODE, "--no-warnings", *arguments], input=text, env=environment, check=False)
 
 
 def test_the_page_modules_pass_their_own_tests():

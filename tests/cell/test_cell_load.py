@@ -2,11 +2,11 @@
 
 import math
 import re
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from ran import ran
 
 from deltaq_cell.description import RobotDescription
 from deltaq_cell.description.bodies import VIDEO_FORMS
@@ -378,8 +378,7 @@ def test_loading_a_cell_imports_neither_kinematics_nor_deployment() -> None:
         "heavy = {'pinocchio', 'coal', 'deltaq_deploy'} & set(sys.modules)\n"
         "sys.exit(f'loaded {heavy}' if heavy else 0)\n"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
+    ran([sys.executable, "-c", program])
 
 
 def test_a_signal_without_a_tag_in_the_file_of_its_controller_is_refused(tmp_path: Path) -> None:

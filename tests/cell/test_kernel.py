@@ -1,7 +1,6 @@
 """The kernel against coal: nothing is left out that should not be. `test_planes.py` holds its planes alone."""
 
 import os
-import subprocess
 import sys
 
 import numpy as np
@@ -9,6 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from own_robot import write_cell, write_package
+from ran import ran
 from reference_proximity import ReferenceProximity
 from spans import draw_span
 
@@ -251,14 +251,7 @@ for _ in range(4):
 
 
 def run(**environment):
-    return subprocess.run(
-        [sys.executable, "-c", LOOKS],
-        env={**os.environ, **environment},
-        check=True,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    ).stdout.splitlines()
+    return ran([sys.executable, "-c", LOOKS], env={**os.environ, **environment}).stdout.splitlines()
 
 
 @pytest.mark.long

@@ -1,12 +1,12 @@
 """What a look at bodies measures: how far each is inflated, what the screen leaves out, and what is told of a pair."""
 
 import json
-import subprocess
 import sys
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from ran import ran
 
 from deltaq_cell.bodies import Extents
 from deltaq_cell.cell_model import CellModel
@@ -313,11 +313,5 @@ print(json.dumps([first, distance()]))
 @pytest.mark.long
 @pytest.mark.parametrize("before", ["nothing", "a cell"])
 def test_boxes_have_their_size_independent_of_the_first_query(before):
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", ASK, before],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=300,
-    )
+    done = ran([sys.executable, "-W", "ignore", "-c", ASK, before])
     assert json.loads(done.stdout) == [pytest.approx(0.092, abs=1e-15)] * 2

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import socket
-import subprocess
 import sys
 import threading
 from collections.abc import Iterator
@@ -17,6 +16,7 @@ from typing import Any
 import jsonschema
 import pytest
 from languages import LANGUAGES, Language
+from ran import ran
 from served import Server
 
 from deltaq_protocol.proof import line_proof
@@ -34,12 +34,7 @@ TAKEN_APART = re.compile(r"\{ ([a-z_, ]+) \} (?:=|of) ")
 @cache
 def schema() -> dict[str, list[dict[str, Any]]]:
     """Schemas by the `type` of the message, as `deltaq schema` prints them; of a lease, request and reply."""
-    told = subprocess.run(
-        [sys.executable, "-c", "from deltaq_deploy.command import main; main()", "schema"],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    told = ran([sys.executable, "-c", "from deltaq_deploy.command import main; main()", "schema"])
     found: dict[str, list[dict[str, Any]]] = {}
     document = json.loads(told.stdout)
     messages = list(document.pop("json-lines")["only over TCP"])
@@ -94,12 +89,9 @@ def test_every_sent_line_is_valid_by_the_exported_schema(language: Language) -> 
     with Server() as server:
         listener = Listener(server.description.tcp_port)
         listener.start()
-        done = subprocess.run(
+        done = ran(
             language.turn_a1(listener.port),
             env=language.environment(DELTAQ_CLIENT_TOKEN='with "quotes"'),
-            capture_output=True,
-            text=True,
-            timeout=300,
             check=False,
         )
         listener.join()

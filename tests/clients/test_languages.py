@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from languages import LANGUAGES, Language
 from octave import command as octave_command
+from ran import ran
 from served import Server
 from small_cell import free_port
 
@@ -44,7 +45,7 @@ def server() -> Iterator[Server]:
 
 def run(language: Language, command: list[str], **variables: str) -> subprocess.CompletedProcess[str]:
     environment = language.environment(**variables)
-    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
+    return ran(command, env=environment, check=False)
 
 
 def answers(language: Language, server: Server, *given: Any, **variables: str) -> list[str]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import subprocess
 from pathlib import Path
 
 import octave
 import pages
 import pytest
 from languages import LANGUAGES
+from ran import ran
 
 ROOT = Path(__file__).parents[2]
 HERE = "tests/clients/test_printed_programs.py runs it"
@@ -44,10 +44,7 @@ def test_a_printed_program_runs_in_a_clone(page: str, step: pages.Step, port: in
         why_not, command = language.why_not(), ["bash", "-euc", text]
     if why_not:
         pytest.skip(why_not)
-    done = subprocess.run(
-        command, cwd=tmp_path, env={**os.environ, **octave.environment()}, capture_output=True, text=True,
-        timeout=300, check=False,
-    )  # fmt: skip
+    done = ran(command, cwd=tmp_path, env={**os.environ, **octave.environment()}, check=False)
     assert done.returncode == 0, (page, step.line, done.stderr)
     assert done.stdout.strip()
 

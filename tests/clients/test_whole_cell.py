@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-import subprocess
 
 import numpy as np
 import pytest
 from languages import LANGUAGES, Language
+from ran import ran
 
 pytestmark = [pytest.mark.live, pytest.mark.long]
 
@@ -22,15 +22,7 @@ def test_the_example_turns_a1_by_ten_degrees(language: Language, stack) -> None:
     if why_not := language.why_not():
         pytest.skip(why_not)
     before = np.array(stack.emulator()["q"])
-    done = subprocess.run(
-        language.turn_a1(stack.cell.tcp_port),
-        env=language.environment(),
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    done = ran(language.turn_a1(stack.cell.tcp_port), env=language.environment())
     stack.wait_until_at_rest()
     turned = np.array(stack.emulator()["q"]) - before
     np.testing.assert_allclose(turned, [math.radians(10), 0, 0, 0, 0, 0], atol=math.radians(0.1))

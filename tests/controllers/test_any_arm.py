@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 
 import numpy as np
@@ -12,6 +11,7 @@ import seven_axes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from ran import ran
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.description import RobotDescription
@@ -258,13 +258,7 @@ for name, robot in published_arms.cell().robots.items():
     assert np.abs(q - robot.home).max() < 1e-6
     print(name, [robot.joint_names[joint] for joint in tracker.base], tracker.word)
 """
-    done = subprocess.run(
-        [sys.executable, "-c", f"import sys; sys.path[:0] = {sys.path!r}\n{code}"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    done = ran([sys.executable, "-c", f"import sys; sys.path[:0] = {sys.path!r}\n{code}"])
     ur, panda = done.stdout.splitlines()
     assert ur.startswith("ur [] the arm of tool has no closed form here and is solved numerically")
     assert panda.startswith("panda ['panda_joint1'] ")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import os
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numba.core.errors import NumbaError
+from ran import ran
 
 from deltaq_cell.compiled import compiled, inlined, makes_no_array
 from deltaq_cell.machine_code import folder_of, package_of
@@ -35,14 +35,7 @@ for _ in range(6):
 
 
 def run(program: str, **environment: str) -> str:
-    return subprocess.run(
-        [sys.executable, "-c", program],
-        env={**os.environ, **environment},
-        check=True,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    ).stdout
+    return ran([sys.executable, "-c", program], env={**os.environ, **environment}).stdout
 
 
 def increments(text: str) -> np.ndarray:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 import threading
 
 import pytest
+from ran import ran
 
 from deltaq_controllers.live import GREED_S, ahead_of_ordinary_programs
 from deltaq_protocol.real_time import SchedulingPriority
@@ -53,7 +53,7 @@ def test_a_control_loop_and_its_message_threads_have_real_time_priority_only_ins
 def test_a_controllers_child_has_ordinary_priority() -> None:
     program = "import os; print(os.sched_getscheduler(0))"
     with ahead_of_ordinary_programs():
-        started = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+        started = ran([sys.executable, "-c", program])
     assert int(started.stdout) == os.SCHED_OTHER
 
 

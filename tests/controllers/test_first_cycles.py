@@ -13,6 +13,7 @@ from typing import Any
 import first_cycles
 import published_arms
 import pytest
+from ran import ran
 
 import deltaq_controllers
 
@@ -28,14 +29,10 @@ SUPPORT = Path(published_arms.__file__).parent
 def waited(case: str, before: Path | None = None) -> dict[str, Any]:
     """What a case waited for before its lease, and while it held it; packages in `before` go before all others."""
     paths = [str(before)] * (before is not None) + [str(SUPPORT), os.environ.get("PYTHONPATH", "")]
-    done = subprocess.run(
+    done = ran(
         [sys.executable, first_cycles.__file__, case],
         env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
-        capture_output=True,
-        text=True,
-        check=False,
     )
-    assert done.returncode == 0, done.stderr
     told: dict[str, Any] = json.loads(done.stdout)
     return told
 

@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from ran import ran
 from ros_peer import STATE_TYPE, RosPeer
 from served import Server
 from small_cell import endpoint
@@ -266,12 +267,7 @@ def test_wrong_use_of_the_command_gives_one_line(server: Server) -> None:
         ("--ros-endpoint", "x"): "'x' is no endpoint",
     }
     for arguments, text in wrong.items():
-        done = subprocess.run(
-            [DELTAQ, "ros2", "--url", server.description.hli, *arguments],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        done = ran([DELTAQ, "ros2", "--url", server.description.hli, *arguments], check=False)
         assert done.returncode == 2
         assert text in " ".join(done.stderr.replace("│", " ").split())
         assert "Traceback" not in done.stderr

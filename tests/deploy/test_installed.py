@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-import subprocess
 import sys
 import tomllib
 from pathlib import Path
 
 import pytest
 from installed import ROOT, Installed, install
+from ran import ran
 
 pytestmark = pytest.mark.long
 
@@ -70,7 +70,7 @@ def test_the_training_extra_installs_the_imports_of_the_environment(wheel: Path,
 
 def test_without_gymnasium_the_environment_names_the_extra_to_install() -> None:
     code = "import sys; sys.modules['gymnasium'] = None; import deltaq_experiments.training"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    done = ran([sys.executable, "-c", code], check=False)
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1].endswith(
         "gymnasium is not installed: pip install 'deltaq[gymnasium]'"
@@ -79,7 +79,7 @@ def test_without_gymnasium_the_environment_names_the_extra_to_install() -> None:
 
 def test_a_missing_module_of_deltaq_is_not_reported_as_a_missing_extra() -> None:
     code = "import sys; sys.modules['deltaq_deploy.command.app'] = None; import deltaq_deploy.command as c; c.main()"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    done = ran([sys.executable, "-c", code], check=False)
     assert done.returncode == 1
     assert "ModuleNotFoundError" in done.stderr
 

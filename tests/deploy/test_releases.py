@@ -12,6 +12,7 @@ from zipfile import ZipFile
 
 import pytest
 from installed import ROOT
+from ran import ran
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 NEEDED = {
@@ -84,7 +85,7 @@ def test_the_source_archive_contains_the_tree_and_no_build_products(unpacked: Pa
 
 @pytest.mark.long
 def test_no_file_names_a_package_registry() -> None:
-    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=False)
+    listed = ran(["git", "ls-files", "-z"], cwd=ROOT, check=False)
     if listed.returncode:
         pytest.skip("no clone: which files are the project's is not known")
     names = listed.stdout.split("\0")[:-1]

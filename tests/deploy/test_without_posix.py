@@ -6,10 +6,10 @@ such as signals and sockets that are different there, no test shows.
 
 from __future__ import annotations
 
-import subprocess
 import sys
 
 import pytest
+from ran import ran
 from served import Server
 
 MODULES = ("fcntl", "grp", "pwd", "resource", "termios")
@@ -61,8 +61,7 @@ main()
 def run_without(script: str, *words: str) -> str:
     """What a script prints in a process without the modules."""
     command = [sys.executable, "-c", WITHOUT + script, *words]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
-    assert done.returncode == 0, done.stderr
+    done = ran(command)
     return done.stdout
 
 

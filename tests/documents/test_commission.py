@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 import re
 import shlex
-import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from emulated import emulator
+from ran import ran
 
 from deltaq_cell.load import load_cell
 from deltaq_deploy.launch.prepare import refuse_unreal
@@ -37,15 +37,7 @@ def test_the_commands_of_the_guide_run_unchanged(tmp_path: Path) -> None:
     environment = os.environ | {"PATH": f"{BIN}{os.pathsep}{os.environ['PATH']}"}
     with emulator(cell, "fr"):
         for line in lines:
-            done = subprocess.run(
-                shlex.split(line),
-                cwd=tmp_path,
-                env=environment,
-                capture_output=True,
-                text=True,
-                timeout=300,
-                check=False,
-            )
+            done = ran(shlex.split(line), cwd=tmp_path, env=environment, check=False)
             # a busy machine may give the telegrams a problem to report; nothing else may be wrong
             listens = "sniff" in line or "echo" in line
             assert done.returncode in ((0, 1) if listens else (0,)), done.stderr

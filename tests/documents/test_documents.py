@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import re
 import shlex
-import subprocess
 import sys
 from collections.abc import Iterator
 from importlib.metadata import distributions
@@ -12,6 +11,7 @@ from typing import Any
 import pytest
 import typer
 from packaging.specifiers import SpecifierSet
+from ran import ran
 from typer.testing import CliRunner
 
 from deltaq_deploy.command.app import RENAMED, app
@@ -113,9 +113,7 @@ def test_there_are_at_most_27_verbs_and_former_verbs_name_the_present_ones() -> 
 @pytest.mark.long
 def test_the_citation_file_follows_its_format() -> None:
     command = [sys.executable, "-m", "check_jsonschema", "--builtin-schema", "vendor.citation-file-format"]
-    checked = subprocess.run(
-        [*command, str(ROOT / "CITATION.cff")], capture_output=True, text=True, check=False
-    )
+    checked = ran([*command, str(ROOT / "CITATION.cff")], check=False)
     assert checked.returncode == 0, checked.stdout
 
 

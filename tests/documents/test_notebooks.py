@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 import nbformat
 import pytest
 from installed import ROOT
+from ran import ran
 
 FOLDER = ROOT / "examples" / "notebooks"
 BIN = Path(sys.executable).parent
@@ -28,14 +28,10 @@ class Outputs:
 def executed(name: str, folder: Path) -> Outputs:
     """Run a notebook as Jupyter does, without an error."""
     result = folder / name
-    done = subprocess.run(
+    ran(
         [str(BIN / "jupyter-execute"), str(FOLDER / name), "--output", str(result)],
         env={**os.environ, "HOME": str(folder), "PATH": f"{BIN}{os.pathsep}{os.environ['PATH']}"},
-        capture_output=True,
-        text=True,
-        check=False,
     )
-    assert done.returncode == 0, done.stderr
     cells = nbformat.read(result, as_version=4).cells
     outputs = [output for cell in cells for output in cell.get("outputs", [])]
     return Outputs(

@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from ran import ran
 
 ROOT = Path(__file__).parents[2]
 LOADED = re.compile(
@@ -25,12 +26,10 @@ PAGES = {
 
 
 def build(config: Path, site: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
+    return ran(
         [sys.executable, "-m", "mkdocs", "build", "-f", str(config), "-d", str(site)],
         env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
         cwd=config.parent,
-        capture_output=True,
-        text=True,
         check=False,
     )
 

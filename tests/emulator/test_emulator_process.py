@@ -16,6 +16,7 @@ import pytest
 import RSIPI
 import yaml
 from networks import own_network
+from ran import ran
 
 from deltaq_cell.description import RobotDescription, RsiDescription
 from deltaq_cell.load import find_cell, load_cell, resolve_near
@@ -246,14 +247,7 @@ def test_the_link_of_an_emulator_never_takes_the_port_of_its_panel() -> None:
     if network is None:
         pytest.skip("no network namespace is allowed here, and the test sets which ports the system gives")
     given = ["sh", "-c", 'echo "$0" >/proc/sys/net/ipv4/ip_local_port_range && exec "$@"']
-    done = subprocess.run(
-        [*network, *given, f"{GIVEN_PORTS[0]} {GIVEN_PORTS[1]}", sys.executable, "-c", STARTS_AND_ENDS],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    ran([*network, *given, f"{GIVEN_PORTS[0]} {GIVEN_PORTS[1]}", sys.executable, "-c", STARTS_AND_ENDS])
 
 
 def test_an_interrupt_ends_it_cleanly(tmp_path: Path) -> None:
@@ -289,14 +283,7 @@ def test_a_failed_start_is_reported_in_one_line_with_status_2() -> None:
         taken.bind(("127.0.0.1", 0))
         panel, free = (f"127.0.0.1:{port}" for port in (taken.getsockname()[1], *free_ports(1)))
         tried = (*CANNOT_BE_STARTED, (["--panel", panel], f"cannot listen on {panel}: "))
-        done = subprocess.run(
-            [sys.executable, "-c", STARTS, json.dumps([arguments for arguments, _ in tried]), free],
-            capture_output=True,
-            text=True,
-            timeout=2 * PATIENCE_S,
-            check=False,
-        )
-    assert done.returncode == 0, done.stderr
+        done = ran([sys.executable, "-c", STARTS, json.dumps([arguments for arguments, _ in tried]), free])
     assert "Traceback" not in done.stderr
     *said, rest = done.stderr.split("status 2\n")
     assert (len(said), rest) == (len(tried), "")
@@ -318,10 +305,7 @@ def test_the_published_client_rsipi_moves_the_robot_with_its_own_configuration(t
     described["robots"]["fr"]["driver"] |= {"ethernet_xml": str(ours), "krc": "krc4", "stop": None}
     cell.write_text(yaml.safe_dump(described))
     with running(cell, "fr") as emulated:
-        peer = subprocess.run(
-            [sys.executable, str(PEER), str(ours)], capture_output=True, text=True, timeout=300, check=False
-        )
-        assert peer.returncode == 0, peer.stderr
+        peer = ran([sys.executable, str(PEER), str(ours)])
         seen = json.loads(peer.stdout.splitlines()[-1])
         home = dict(zip(("A1", "A2", "A3", "A4", "A5", "A6"), np.rad2deg(emulated.robot.home), strict=True))
         assert seen["start"] == pytest.approx(home, abs=1e-4)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from ran import ran
 
 from deltaq import GateError
 from deltaq_experiments.bench.filter_scenes import Distances, drawn_scene
@@ -158,11 +158,11 @@ def test_a_path_is_done_in_its_own_time_without_a_filter():
 def test_the_command_compares_a_file_of_ones_own(own):
     command = [Path(sys.executable).with_name("deltaq"), "bench", "filters", "none", "own.py:half"]
     command += ["--scenes", "1", "--cycles", "10", "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=own, env=os.environ, check=True)
+    done = ran(command, cwd=own, env=os.environ)
     told = json.loads(done.stdout)
     assert (told["robot"], list(told["filters"])) == ("kr16", ["none", "own.py:half"])
     assert told["filters"]["none"]["speed_kept_percent"] == 100.0
-    refused = subprocess.run([*command[:3], "own.py:nan"], capture_output=True, text=True, cwd=own)
+    refused = ran([*command[:3], "own.py:nan"], cwd=own, check=False)
     assert (refused.returncode, refused.stdout) == (2, "")
     assert refused.stderr.splitlines()[-1].startswith("deltaq: own.py:nan: must be finite")
     assert "Traceback" not in refused.stderr

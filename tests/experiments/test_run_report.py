@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import deltaq
+from ran import ran
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_experiments.run_report.drawing import COLUMNS, timeline
@@ -181,7 +181,7 @@ def test_a_full_disk_leaves_no_partial_report(tmp_path: Path) -> None:
         "try: write(Path(sys.argv[1]), 'x' * 100_000)\n"
         "except ReportError as error: print(error)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code, str(file)], capture_output=True, text=True, check=True)
+    done = ran([sys.executable, "-c", code, str(file)])
     assert "run.html cannot be written: File too large" in done.stdout
     assert not file.exists()
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import pages
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import SyncVectorEnv
+from ran import ran
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_experiments.scene import camera_controller, scene_of
@@ -167,13 +167,6 @@ def test_the_scripts_of_the_page_run_as_they_are_printed(tmp_path: Path) -> None
     scripts = [step for step in pages.steps(PAGE.read_text(encoding="utf-8")) if step.argument == "python"]
     assert scripts
     for script in scripts:
-        done = subprocess.run(
-            [sys.executable, "-"],
-            input=script.text,
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        done = ran([sys.executable, "-"], input=script.text, cwd=tmp_path, check=False)
         assert done.returncode == 0, f"line {script.line}: {done.stderr}"
         assert done.stdout

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-import subprocess
 import sys
 import threading
 from collections.abc import Iterator
 
 import pytest
+from ran import ran
 from served import Server
 from small_cell import endpoint
 
@@ -37,9 +37,7 @@ def client_threads() -> list[threading.Thread]:
 
 def test_a_script_without_a_running_cell_ends_with_one_line() -> None:
     script = f"from deltaq_protocol.blocking import connect\nwith connect({endpoint()!r}): pass\n"
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=300
-    )
+    done = ran([sys.executable, "-c", script], check=False)
     assert done.returncode == 1
     assert re.fullmatch(r"error: no server answers at .*\n", done.stderr)
 
@@ -185,7 +183,7 @@ def test_an_unclosed_lease_is_released_silently_at_exit(
     cell: BlockingCell, server: Server, script: str
 ) -> None:
     command = [sys.executable, "-c", script, server.description.hli]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    done = ran(command, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert "forgetful" in done.stdout
     assert cell.status().robots["fr"].lease.holder is None

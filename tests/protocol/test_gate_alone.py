@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from ran import ran
 
 from deltaq import Box, Capsule, Cylinder, Gate, GateError, Mesh, Sphere
 from deltaq.foreign_robot import in_convex_parts, whole_body
@@ -368,7 +368,7 @@ def test_importing_deltaq_does_not_load_the_gate():
     program = (
         "import sys, deltaq; print([name for name in ('pinocchio', 'coal', 'numba') if name in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    done = ran([sys.executable, "-c", program])
     assert done.stdout == "[]\n"
 
 
@@ -387,5 +387,5 @@ def test_the_urdf_may_be_a_path(tmp_path):
 def test_the_example_is_short_and_keeps_clear(name, prints):
     program = Path(__file__).parents[2] / "examples" / f"{name}.py"
     assert len(program.read_text(encoding="utf-8").splitlines()) < 40
-    done = subprocess.run([sys.executable, str(program)], capture_output=True, text=True, check=True)
+    done = ran([sys.executable, str(program)])
     assert prints in done.stdout

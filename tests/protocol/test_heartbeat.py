@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 import resource
 import socket
-import subprocess
 from pathlib import Path
 
 import pytest
 from installed import ROOT
+from ran import ran
 
 from deltaq_protocol import heartbeat
 from deltaq_protocol.heartbeat import HEALTH_FILE, NOTIFY_SOCKET, Heartbeat, HeartbeatError
@@ -18,7 +18,7 @@ HEALTHY = ROOT / "deploy" / "healthy.sh"
 
 
 def look(file: Path) -> tuple[int, str]:
-    done = subprocess.run(["sh", str(HEALTHY), str(file)], capture_output=True, text=True, check=False)
+    done = ran(["sh", str(HEALTHY), str(file)], check=False)
     return done.returncode, done.stdout.strip()
 
 

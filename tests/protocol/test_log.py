@@ -8,6 +8,7 @@ import sys
 from datetime import UTC, datetime, timedelta
 
 import pytest
+from ran import ran
 
 from deltaq_protocol.log import LogFormat, LogFormatError, json_line, log_format, message_of, read_json_line
 
@@ -27,13 +28,7 @@ ours.error("two\\nlines \\x1b[31m and \\u2028 more")
 def run(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
     import os
 
-    return subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        env=os.environ | environment,
-        check=False,
-    )
+    return ran([sys.executable, "-c", code], env=os.environ | environment, check=False)
 
 
 @pytest.mark.long

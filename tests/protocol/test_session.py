@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import resource
 import socket
-import subprocess
 import sys
 import threading
 import time
@@ -17,6 +16,7 @@ from typing import Any
 
 import pytest
 import zenoh
+from ran import ran
 from small_cell import endpoint
 
 from deltaq_protocol.errors import ServiceUnreachableError
@@ -335,7 +335,4 @@ def test_importing_the_protocol_loads_neither_pinocchio_nor_coal_nor_the_cell() 
         "heavy = {'pinocchio', 'coal', 'deltaq_cell', 'deltaq_services'} & set(sys.modules)\n"
         "sys.exit(str(heavy) if heavy else 0)\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, timeout=300, check=False
-    )
-    assert done.returncode == 0, done.stderr
+    ran([sys.executable, "-c", script])

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 import threading
 from pathlib import Path
 
 import pytest
+from ran import ran
 
 from deltaq_protocol import stamps as module
 from deltaq_protocol.stamps import FOLDER, StampError, Stamps, StampStation, read_stamps, stamps_if_asked
@@ -91,12 +91,7 @@ def test_a_stamping_process_writes_its_stamps_at_exit(tmp_path: Path) -> None:
         "one.add(StampStation.DECIDED, 'fr', 5, 6)\n"
         "raise SystemExit(3)\n"
     )
-    done = subprocess.run(
-        ["env", f"{FOLDER}={tmp_path}", sys.executable, "-c", program],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = ran(["env", f"{FOLDER}={tmp_path}", sys.executable, "-c", program], check=False)
     assert done.returncode == 3, done.stderr
     [file] = tmp_path.glob("*.stamps")
     assert read_stamps(file).rows[:, :4].tolist() == [[StampStation.DECIDED, 0, 5, 6]]

@@ -3,7 +3,6 @@
 import contextlib
 import json
 import os
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 import pytest
 import zenoh
 from lockstep_realm import LockstepRealm
+from ran import ran
 
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
@@ -115,13 +115,7 @@ def test_another_user_cannot_reach_the_sockets(realm):
     links = list(guarded_links(realm.description).values())
     taken = realm.sim.taken
     # the user could read a key of 2**62 possible ones, were there one: nothing here depends on a secret
-    done = subprocess.run(
-        [sys.executable, "-c", STRANGER, json.dumps([NOBODY, *links])],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd="/",
-    )
+    done = ran([sys.executable, "-c", STRANGER, json.dumps([NOBODY, *links])], check=False, cwd="/")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout.splitlines()[-1]) == [NOBODY, []]
     assert realm.sim.taken == taken

@@ -8,6 +8,7 @@ import sys
 import pytest
 from identities import make
 from networks import why_none
+from ran import ran
 
 from deltaq_protocol.certified.names import IDENTITY
 from studies.two_sites.sites import sites, within, write_cell
@@ -57,13 +58,7 @@ session.close()
 
 
 def run_in(namespace, program, *arguments):
-    done = subprocess.run(
-        within(namespace, [sys.executable, "-c", program, *map(str, arguments)]),
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    done = ran(within(namespace, [sys.executable, "-c", program, *map(str, arguments)]))
     return done.stdout.strip()
 
 

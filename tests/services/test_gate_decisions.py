@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from contextlib import contextmanager
 
@@ -23,6 +22,7 @@ from gate_bench import (
     one_joint,
     with_room,
 )
+from ran import ran
 from small_cell import admission_after
 
 from deltaq_cell.description import ContactDescription
@@ -318,6 +318,6 @@ print(*sorted(outcomes))
 
 @pytest.mark.long
 def test_a_gate_that_was_prepared_compiles_nothing_for_its_decisions() -> None:
-    decided = subprocess.run([sys.executable, "-c", DECIDE], capture_output=True, text=True, check=True)
+    decided = ran([sys.executable, "-c", DECIDE])
     assert {"held", "scaled"} <= set(decided.stdout.splitlines()[-1].split())
     assert "compiled late" not in decided.stdout

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from guarded_peer import guarded_peer
+from ran import ran
 from small_cell import small_cell, told, tool_pose
 
 from deltaq_cell.description import CellDescription
@@ -66,7 +67,7 @@ def test_the_file_precedes_the_variable_and_an_empty_value_is_no_token(tmp_path:
 def test_a_console_refuses_a_token_file_readable_by_others(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "deltaq_services.console", "--cell", "lab"]
     environment = os.environ | {"DELTAQ_CONSOLE_TOKEN_FILE": secret(tmp_path, SECRET.encode(), 0o644)}
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    done = ran(command, env=environment, check=False)
     assert done.returncode == 2
     assert "DELTAQ_CONSOLE_TOKEN_FILE" in done.stderr
     assert SECRET not in done.stdout + done.stderr

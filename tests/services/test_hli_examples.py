@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from ran import ran
 from served import Server
 
 from deltaq_protocol.blocking import connect
@@ -36,7 +37,7 @@ def arguments(example: str, server: Server) -> list[str]:
 
 def run(example: str, *given: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, str(EXAMPLES / example), *given]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    return ran(command, check=False)
 
 
 def assert_it_turns_a1_by_ten_degrees_and_gives_the_lease_back(example: str, server: Server) -> None:

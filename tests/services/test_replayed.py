@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from ran import ran
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_protocol import topics
@@ -127,9 +128,7 @@ def test_a_long_recording_has_longer_steps(recorded: Path, cell: CellModel) -> N
 def test_the_process_prints_it_and_errors_are_one_line(recorded: Path, cell: CellModel) -> None:
     def run(file: Path) -> subprocess.CompletedProcess[str]:
         command = ["-m", "deltaq_services.recorder.replayed", str(file), "--identity", str(cell.identity)]
-        return subprocess.run(
-            [sys.executable, *command], capture_output=True, text=True, timeout=300, check=False
-        )
+        return ran([sys.executable, *command], check=False)
 
     assert json.loads(run(recorded).stdout) == json.loads(json.dumps(replayed(recorded, str(cell.identity))))
     missing = run(recorded.with_name("missing.mcap"))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import subprocess
 import sys
 import threading
 from collections.abc import Iterator
@@ -13,6 +12,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from ran import ran
 from served import Server
 
 from deltaq_services.hli.tcp_connection import TcpConnection
@@ -72,8 +72,7 @@ def assert_nothing_is_missing(given: list[int], taken: list[dict[str, Any]], inc
 
 def run_slowly(script: Path, *arguments: str) -> list[dict[str, Any]]:
     command = [sys.executable, "-c", SLOWED, str(script), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
-    assert done.returncode == 0, done.stderr
+    done = ran(command)
     taken: list[dict[str, Any]] = json.loads(done.stdout.rpartition("taken ")[2])
     return taken
 

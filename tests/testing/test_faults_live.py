@@ -1,10 +1,10 @@
 """Faults over real processes, zenoh and UDP: the table's live half, and a fault in a cell that is up."""
 
 import json
-import subprocess
 
 import pytest
 from commands import PROGRAM
+from ran import ran
 
 from deltaq_testing.faults.catalogue import CATALOGUE, fault_named
 from deltaq_testing.faults.panel import inject
@@ -61,8 +61,7 @@ def test_a_fault_is_injected_into_a_running_cell_and_lifted(ready_stack):
         str(ready_stack.file),
         "--json",
     ]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
-    assert done.returncode == 0, done.stderr
+    done = ran(command)
     found = json.loads(done.stdout)
     assert (found["phase"], found["reason"]) == ("held", "krc_lost")
     again = inject(fault_named("krc-hiccup"), ready_stack.cell, "fr", 0.0)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import socket
-import subprocess
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 
 import pytest
 from networks import why_none
+from ran import ran
 
 from deltaq_emulator.faults import LinkFaults
 from studies.two_sites.packets import PacketLink, PacketLinkError, within
@@ -128,11 +128,7 @@ async def test_a_cut_cable_lets_nothing_pass_until_it_is_mended() -> None:
 
 def test_networks_are_gone_after_the_block_and_of_no_use_before() -> None:
     with sites() as made:
-        assert (
-            made.robots in subprocess.run(["ip", "netns"], capture_output=True, text=True, check=True).stdout
-        )
-    assert (
-        made.robots not in subprocess.run(["ip", "netns"], capture_output=True, text=True, check=True).stdout
-    )
+        assert made.robots in ran(["ip", "netns"]).stdout
+    assert made.robots not in ran(["ip", "netns"]).stdout
     with pytest.raises(PacketLinkError, match=made.robots), within(made.robots):
         pytest.fail("there is no such network")

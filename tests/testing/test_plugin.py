@@ -1,9 +1,9 @@
 """The plug-in, as pytest runs it for somebody who tests a controller."""
 
-import subprocess
 import sys
 
 import pytest
+from ran import ran
 
 # pytester forgets what a run imported, and C extensions cannot be imported twice
 import deltaq_testing.strategies
@@ -133,5 +133,5 @@ def test_goal(new_virtual_cell, faults):
 
 def test_the_plugin_imports_nothing_if_no_test_uses_a_cell():
     listed = "import sys, deltaq_testing.plugin; print([m for m in sys.modules if m.startswith('deltaq')])"
-    told = subprocess.run([sys.executable, "-c", listed], capture_output=True, text=True, check=True)
+    told = ran([sys.executable, "-c", listed])
     assert told.stdout.strip() == "['deltaq_testing', 'deltaq_testing.plugin']"

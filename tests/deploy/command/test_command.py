@@ -1,13 +1,13 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 import tomllib
 from pathlib import Path
 
 import pytest
 from commands import deltaq
+from ran import ran
 
 from deltaq_deploy.launch.program import LaunchError, LaunchInterruptedError, exit_status
 from deltaq_protocol.errors import ProtocolError, RefusedError, ServiceUnreachableError
@@ -183,5 +183,5 @@ def test_help_loads_nothing_heavy() -> None:
         "heavy = {'pinocchio', 'coal', 'matplotlib', 'deltaq_experiments', 'yaml'};"
         "print(sorted(heavy & set(sys.modules)))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = ran([sys.executable, "-c", code])
     assert done.stdout.strip() == "[]"

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from commands import PROGRAM
+from ran import ran
 from small_cell import endpoint
 
 SOMEWHERE = "tcp/127.0.0.1:9"
@@ -41,7 +42,7 @@ def test_impossible_options_are_reported_with_the_possible_ones(
     options: tuple[str, ...], status: int, told: str
 ) -> None:
     words = command("--listen", SOMEWHERE, "--to", SOMEWHERE, *options)
-    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=300)
+    done = ran(words, check=False)
     assert done.returncode == status, done.stderr
     assert told in re.sub(r"[\s│]+", " ", done.stderr)
     assert "Traceback" not in done.stderr

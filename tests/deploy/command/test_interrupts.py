@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from commands import PROGRAM
+from ran import ran
 
 # comes as sitecustomize: the interpreter loads it before the command
 INTERRUPTS_ITSELF = """
@@ -55,14 +56,11 @@ BY_ONE = [
 def test_ctrl_c_during_imports_ends_silently(tmp_path: Path, module: str, words: str) -> None:
     (tmp_path / "sitecustomize.py").write_text(INTERRUPTS_ITSELF)
     path = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
-    done = subprocess.run(
+    done = ran(
         [PROGRAM, *words.split()],
         env=os.environ | {"PYTHONPATH": path, "INTERRUPTED_AT": module},
         cwd=tmp_path,
         stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=300,
         check=False,
     )
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import subprocess
 from pathlib import Path
 from typing import Any
 
 import pytest
 from commands import PROGRAM
 from emulated import emulator
+from ran import ran
 from typer.testing import CliRunner
 
 from deltaq_cell.load import load_cell
@@ -21,13 +21,7 @@ PATIENCE_S = 300.0
 
 
 def rsi(*arguments: str) -> tuple[int, dict[str, Any]]:
-    done = subprocess.run(
-        [PROGRAM, "krc", *arguments, "--json"],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    done = ran([PROGRAM, "krc", *arguments, "--json"], check=False)
     assert "listening on UDP 127.0.0.1:" in done.stderr
     assert "Traceback" not in done.stderr
     told: dict[str, Any] = json.loads(done.stdout)

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 import yaml
+from ran import ran
 
 from deltaq_cell.load import load_cell
 from deltaq_deploy.launch.compose import (
@@ -41,7 +42,7 @@ def test_the_committed_file_agrees_with_the_table_of_services() -> None:
 
 def validate(file: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "check_jsonschema", "--builtin-schema", "vendor.compose-spec", file]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+    return ran(command, check=False)
 
 
 @pytest.mark.long
@@ -85,7 +86,7 @@ def test_services_of_a_cell_on_several_machines_get_their_identities(tmp_path: P
     places = f"sim: {at}:7450\nrobots: {{fr: {{server: {at}:7451}}, gr: {{server: {at}:7452}}}}"
     cell.write_text(f"extends: lab\n{places}\n", encoding="utf-8")
     command = [sys.executable, "-m", "deltaq_deploy.launch.compose", str(cell)]
-    printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    printed = ran(command).stdout
     file = tmp_path / "compose.yaml"
     file.write_text(printed, encoding="utf-8")
     assert validate(str(file)).returncode == 0

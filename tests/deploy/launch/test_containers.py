@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 
 import pytest
+from ran import ran
 from test_compose import FILE
 
 from deltaq_cell.load import load_cell
@@ -18,7 +19,7 @@ pytestmark = pytest.mark.container
 
 def compose(*arguments: str) -> subprocess.CompletedProcess[str]:
     command = ["docker", "compose", "--project-name", "deltaq-test", "--file", str(FILE), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    return ran(command, check=False)
 
 
 @pytest.fixture(scope="module")

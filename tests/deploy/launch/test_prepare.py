@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
 import sys
 import uuid
 from collections.abc import Callable, Iterator
@@ -12,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from ran import ran
 
 from deltaq_cell import machine_code
 from deltaq_cell.load import load_cell
@@ -48,7 +48,7 @@ def compiler(monkeypatch: pytest.MonkeyPatch, code: str, gate: str = "", modes: 
 def printed(code: str, *arguments: str) -> str:
     """What a program of its own prints."""
     command = [sys.executable, "-c", code, *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=300).stdout
+    return ran(command).stdout
 
 
 def ahead(told: list[str], functions: list[str], names: tuple[str, ...] = ("paper",)):  # type: ignore[no-untyped-def]
@@ -259,16 +259,7 @@ def test_a_compiled_gate_is_neither_loaded_nor_checked_again(tmp_path: Path) -> 
 def test_only_a_newly_compiled_function_is_reported(tmp_path: Path) -> None:
     law = tmp_path / "law.py"
     law.write_text(f"# {uuid.uuid4()}: machine code is found by the text of its file\n{ONE_LAW}")
-    runs = [
-        subprocess.run(
-            [sys.executable, str(law)],
-            capture_output=True,
-            text=True,
-            check=True,
-            timeout=300,
-        ).stdout
-        for _ in range(2)
-    ]
+    runs = [ran([sys.executable, str(law)]).stdout for _ in range(2)]
     assert runs == ["told one\n", ""]
 
 
@@ -282,9 +273,7 @@ def test_an_interrupt_ends_the_compiler_too() -> None:
         "    os.kill(os.getpid(), signal.SIGINT)\n"
         "with prepare.compiled_ahead(prepare.Needed(['paper']), print, begun): pass\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=300
-    )
+    done = ran([sys.executable, "-c", code], check=False)
     assert done.returncode == -signal.SIGINT
     with pytest.raises(ProcessLookupError):
         os.kill(int(done.stdout), 0)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from ran import ran
 
 from deltaq_cell.load import load_cell
 from deltaq_deploy.launch.services import RESOURCES, UnknownServiceError, cell_services, console_service
@@ -59,9 +59,7 @@ def test_there_is_a_unit_for_every_service_that_deltaq_up_starts(lab: dict[str, 
 def test_systemd_finds_nothing_wrong_with_them(tmp_path: Path, options: list[str]) -> None:
     main(["lab", "--to", str(tmp_path), "--python", sys.executable, *options])
     files = [str(file) for file in tmp_path.iterdir()]
-    done = subprocess.run(
-        ["systemd-analyze", "verify", "--man=no", *files], capture_output=True, text=True, check=False
-    )
+    done = ran(["systemd-analyze", "verify", "--man=no", *files], check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
@@ -69,7 +67,7 @@ def test_systemd_finds_nothing_wrong_with_them(tmp_path: Path, options: list[str
 def test_systemd_rates_the_confinement_of_every_unit_as_ok() -> None:
     for file in FOLDER.glob("*.service"):
         command = ["systemd-analyze", "security", "--offline=yes", "--threshold=40", "--no-pager", str(file)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        done = ran(command, check=False)
         assert done.returncode == 0, done.stdout
 
 
