@@ -29,6 +29,8 @@ RAMP_S = 0.4
 TURNS = 4 * math.pi
 """Limits of a continuous joint, which has none of its own [rad]."""
 
+LIMIT_REMEDY = "give the joint a <limit> with lower, upper, effort and velocity"
+
 Limit = tuple[float, str]
 """A limit and its source."""
 
@@ -68,12 +70,18 @@ def described(
     for name, place in locked.items():
         numbers(f"locked.{name}", [place], 1, "give where the joint is, in rad or m")
     source = load_urdf(str(urdf))
+    joints_told = source.tree().findall("joint")
+    told = {joint.get("name", ""): joint.find("limit") for joint in joints_told}
+    for joint in joints_told:
+        limit = told[joint.get("name", "")]
+        for what in ("velocity", "effort"):  # without them no URDF is read, and nothing says why
+            if joint.get("type") in ("revolute", "prismatic") and (limit is None or limit.get(what) is None):
+                raise GateError(f"{joint.get('name')}.{what}", None, "must be given", LIMIT_REMEDY)
     model = parse_model(source, locked)
     beside = None if srdf is None else Path(srdf).with_name("joint_limits.yaml")
     if joint_limits is None and beside is not None and beside.is_file():
         joint_limits = beside
     given = {} if joint_limits is None else _joint_limits(joint_limits)
-    told = {joint.get("name", ""): joint.find("limit") for joint in source.tree().findall("joint")}
     limits = {}
     for index, name in enumerate(list(model.names)[1:]):
         bounds = model.lowerPositionLimit[index], model.upperPositionLimit[index], model.velocityLimit[index]
@@ -173,7 +181,7 @@ def _limits(
             lower, where = float(least), "joint_limits.yaml"
         if (most := given.get("max_position")) is not None and most < upper:
             upper, where = float(most), "joint_limits.yaml"
-    remedy = "give the joint a <limit> with lower, upper and velocity, or name it in `locked`"
+    remedy = f"{LIMIT_REMEDY}, or name it in `locked`"
     if not lower < upper:
         raise GateError(f"{name}.upper", upper, f"must be above lower, {lower:g}", remedy)
     speed = velocity, "URDF"

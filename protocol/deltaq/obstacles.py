@@ -49,7 +49,8 @@ def numbers(name: str, value: ArrayLike, count: int, remedy: str, most: float = 
         GateError: it is not.
     """
     try:
-        array = np.array(value, dtype=np.float64)
+        array = np.array(value)
+        array = array.astype(np.float64, casting="same_kind" if array.dtype.kind == "c" else "unsafe")
     except (TypeError, ValueError):
         wanted = "a number" if count == 1 else f"{count} numbers"
         raise GateError(name, value, f"must be {wanted}", remedy) from None

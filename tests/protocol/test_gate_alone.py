@@ -62,6 +62,7 @@ SEVEN = [0.0] * 7
     ("act", "field", "bound"),
     [
         (lambda gate: gate.step([math.nan, *SEVEN[1:]]), "dq", "finite"),
+        (lambda gate: gate.step([1e-3j, *SEVEN[1:]]), "dq", "7 numbers"),
         (lambda gate: gate.step([math.inf, *SEVEN[1:]]), "dq", "finite"),
         (lambda gate: gate.step([1e300, *SEVEN[1:]]), "dq", r"at most 1e\+06"),
         (lambda gate: gate.step([0.0] * 6), "dq", r"shape \(7,\)"),
@@ -132,6 +133,8 @@ def test_impossible_arguments_of_a_gate_are_refused(options, field):
     [
         ('lower="-2" upper="2"', "", "elbow.upper: must be above lower"),
         ('velocity="1"', 'velocity="0"', "elbow.velocity: must be above 0"),
+        ('velocity="1"', "", "elbow.velocity: must be given"),
+        ('<limit lower="-2" upper="2" velocity="1" effort="1"/>', "", "elbow.velocity: must be given"),
         ('size="0.5 0.1 0.1"', 'size="500 100 100"', "is 500 m long"),
         ('velocity="1"', 'velocity="1" acceleration="-3"', "elbow.acceleration: must be above 0"),
         (
