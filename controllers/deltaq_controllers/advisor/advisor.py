@@ -21,7 +21,7 @@ from deltaq_protocol.arrays import Array, Indices
 
 SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 """Weights of the first criterion, the second having the rest, by which the energy descends."""
-STARTS = 3
+STARTS = 10
 """Nodes from which it does, for each."""
 APART = 0.01
 """Points of a front differ by more than this in the cost of either criterion."""
@@ -43,7 +43,7 @@ def front(component: Component, problem: AdvisorProblem, names: tuple[str, str],
     for share in SHARES:
         weighed = problem.weighed({first: share, second: 1.0 - share})
         energy = weighed.energies(component.tree.q)
-        component.descend(component.best(STARTS, np.empty(0, dtype=np.intp), energy), STEPS, weighed)
+        component.descend(component.best(STARTS, energy=energy), STEPS, weighed)
     both = problem.weighed({first: 1.0, second: 1.0})
     costs = both.energy.costs(Postures(problem.data, component.tree.q))
     costs[~np.isfinite(component.energy)] = np.inf
@@ -80,6 +80,9 @@ THERE_M, THERE_RAD = 1e-4, 1e-3
 
 MEASURED = 100
 """Configurations that are measured exactly to find the options."""
+
+AS_GOOD = 0.005
+"""An option to which hands leave is not shown beside the best in place unless better by this fraction of its energy."""
 
 NOT_LOOKED_FOR = "not searched for yet"
 
@@ -154,10 +157,10 @@ def advise(
 ) -> list[Option]:
     """Ranked, distinct options.
 
-    With the hands in place they are the minima of energy among all reachable configurations, always including the
-    best one; or, with `trade_off`, points on the Pareto front of two criteria. If hands may leave their poses and
-    return, minima on other branches are options, too, and marked; options with a path come before those without. If
-    hands are to move elsewhere, all configurations with the hands there are searched.
+    With the hands in place they are the best of all reachable configurations that differ by `DISTINCT`; or, with
+    `trade_off`, points on the Pareto front of two criteria. If hands may leave their poses and return, configurations
+    on other branches are options, too, and marked; options with a path come before those without. If hands are to
+    move elsewhere, all configurations with the hands there are searched.
 
     Args:
         problem: the task.
@@ -167,7 +170,7 @@ def advise(
         method: one of `METHODS`, for the search beyond what can be reached with the hands in place.
         effort: of the search.
         exact: measures clearance; by default with the other robots at home.
-        trade_off: names of two criteria; options on their Pareto front replace minima; the hands have to be in
+        trade_off: names of two criteria; options are on their Pareto front instead; the hands have to be in
             place.
         go_on: called after every step; once it returns False, the options found so far are returned at once.
 
@@ -213,37 +216,31 @@ class _Answer:
         kept = PathPlanner(problem.robot, space, self._exact, self._generator, present)
         found = self._reached(kept.tree, effort, trade_off)
         if problem.hands_may_leave and trade_off is None:
-            found += self._left(self._searched(method, effort), found)
-            found.sort(key=lambda option: option.energy)
+            found = differing(found + self._left(self._searched(method, effort), found))
         return self._with_paths(found, kept, moved)
 
     def _reached(self, tree: Tree, effort: float, trade_off: tuple[str, str] | None) -> list[Option]:
-        """Options with the hands in place all the way."""
+        """Options with the hands in place all the way, best first."""
         component = Component(self._problem, tree, self._generator)
 
         def go_on(done: float) -> bool:
             self._best = min(self._best, float(component.energy.min()))
             return self._ask("searching", done)
 
-        ends = component.explore(effort, go_on)
+        component.explore(effort, go_on)
         self._ask("polishing", 0.0)
         nodes = (
-            component.minima(ends, 2 * self._count)[: self._count]
+            component.best(self._count)
             if trade_off is None
             else front(component, self._problem, trade_off, self._count)
         )
         self._best = min(self._best, float(component.energy.min()))
-        nodes = nodes[np.isfinite(component.energy[nodes])]
         return self._described(tree.q[nodes], component.energy[nodes], hands_move=False, hands_leave=False)
 
     def _left(self, pool: Pool, known: list[Option]) -> list[Option]:
         """Options to which the hands leave: on other branches, or turned by a whole turn, or behind something."""
         q, energy = self._clear(pool, self._count + len(known))
-        other = [
-            not any(np.abs(one - option.q).max() <= DISTINCT for option in known)
-            and (np.abs(one - self._present).max() > DISTINCT)
-            for one in q
-        ]
+        other = np.abs(q - self._present).max(axis=1, initial=0.0) > DISTINCT
         q, energy = q[other][: self._count], energy[other][: self._count]
         return self._described(q, energy, hands_move=True, hands_leave=True)
 
@@ -252,22 +249,16 @@ class _Answer:
             self._best = min(self._best, energy)
             return self._ask(doing, done)
 
-        if not self._problem.free:
-            every = self._problem.try_all(np.empty((1, 0)))
-            best_first = np.argsort(every.energy, kind="stable")
-            return Pool(every.q[best_first], every.energy[best_first])
-        return search(self._problem, self._generator, method, effort, go_on)
-
-    def _clear(self, pool: Pool, count: int) -> tuple[Array, Array]:
-        """The best of a pool that are clear by the exact shapes, and no nearer to a limit than a path may be."""
         robot = self._problem.robot
         margin = np.maximum(LIMIT_MARGIN, LIMIT_SHARE * (robot.upper - robot.lower))
+        return search(self._problem.inside(margin), self._generator, method, effort, go_on)
+
+    def _clear(self, pool: Pool, count: int) -> tuple[Array, Array]:
+        """The best of a pool that are clear by the exact shapes."""
         chosen: list[int] = []
         for index, q in enumerate(pool.q[:MEASURED]):
             if len(chosen) == count:
                 break
-            if ((q - robot.lower < margin) | (robot.upper - q < margin)).any():
-                continue
             if self._exact.keeps(q[None]):
                 chosen.append(index)
         return pool.q[chosen], pool.energy[chosen]
@@ -280,7 +271,11 @@ class _Answer:
         """
         is_settled = len(found) <= self._count
         self._ask("checking", 1.0, tuple(found) if is_settled else ())
-        for number, option in enumerate(found):
+        best_in_place = next((number for number, one in enumerate(found) if not one.hands_leave), 0)
+        for number in sorted(range(len(found)), key=lambda number: number != best_in_place):
+            option = found[number]
+            if sum(known.path is not None for known in found) == self._count:
+                break
             ways = moved if option.hands_move else kept
             try:
                 is_here = (option.q == self._present).all()
@@ -329,6 +324,18 @@ class _Answer:
             )
             for row in range(len(q))
         ]
+
+
+def differing(found: Sequence[Option]) -> list[Option]:
+    """Of options that do not differ by `DISTINCT` the better one, best first.
+
+    The first one given stays, and hides those about it that are not better by `AS_GOOD`.
+    """
+    kept: list[Option] = []
+    for option in sorted(found, key=lambda one: one.energy * (1.0 - AS_GOOD * (one is found[0]))):
+        if option is found[0] or all(np.abs(option.q - other.q).max() > DISTINCT for other in kept):
+            kept.append(option)
+    return sorted(kept, key=lambda option: option.energy)
 
 
 def kept_of(found: Sequence[Option], count: int) -> list[Option]:

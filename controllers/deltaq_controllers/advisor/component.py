@@ -8,7 +8,7 @@ path.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -23,22 +23,19 @@ ROUNDS = 16
 DESCENTS = 8
 """Nodes from which the energy descends, and the steps of that."""
 STEPS = 12
+ENOUGH = 5
+"""A search goes on until it has so many nodes that differ by `DISTINCT`: some starts are boxed in."""
 BETTER = 0.01
-"""A search that has found nothing better than the start by this fraction of its energy goes on: one start in ten is
-boxed in so that a tree of the usual size is too small."""
-TURNS = 4
+"""It has a second turn at least if nothing is better than the start by this fraction of its energy."""
+POLISHED = 3
+"""So many of the best nodes have a second descent."""
+TURNS = 3
 """How often at most it spreads and descends, each time farther, and from nodes that differ less."""
 TOGETHER = 8
 """So many descents are made side by side."""
 LEAST_SINGULAR = 0.02
 """Least singular value of an arm's Jacobian at an option, unless the start has less. Closer to a singularity the speed
 at which a brake leaves the hands in place goes to zero, and the robot does not arrive."""
-BARRIER = 0.01
-"""Two minima are one if the energy between them, straight in the free joints, rises by less than this."""
-LOOKED_AT = 17
-"""Configurations between two minima whose energy is looked at."""
-APART = 0.5
-"""The nodes differ by more than this in at least one joint [rad or m]."""
 
 
 class Component:
@@ -59,18 +56,15 @@ class Component:
         self._least = min(LEAST_SINGULAR, float(self._singular(tree.q).min()))
         self.energy = problem.energies(tree.q)
 
-    def explore(self, effort: float, go_on: Callable[[float], bool]) -> Indices:
-        """Spread, and descend from the best nodes; again, a few times, where nothing better than the root is found.
+    def explore(self, effort: float, go_on: Callable[[float], bool]) -> None:
+        """Spread, and descend from the best nodes; again, a few times, where too little is found.
 
         Args:
             effort: factor of the usual time.
             go_on: called with the fraction that is done; once it returns False, this ends.
-
-        Returns:
-            The nodes at which descents ended, the root's first.
         """
         ends = self.descend(np.zeros(1, dtype=np.intp), STEPS)
-        for turn in range(1, TURNS + 1 if len(self._problem.tracker.base) else 1):
+        for turn in range(1, TURNS + 1 if self._problem.free else 1):
             half = 0.5**turn  # of a bar that is not to stand still, nor to go back
 
             def goes_on(done: float, half: float = half) -> bool:
@@ -79,14 +73,15 @@ class Component:
             if not self._spread(max(1, round(ROUNDS * turn * effort)), goes_on):
                 break
             # a few at a time: what may be shown grows, and the operator may end it
-            nodes = self.best(max(1, round(DESCENTS * effort)), ends, apart=APART / turn)
+            nodes = self.best(max(1, round(DESCENTS * effort)), ends, apart=DISTINCT / turn)
             for first in range(0, len(nodes), TOGETHER):
                 if not goes_on(0.5 + 0.5 * first / len(nodes)):
-                    return ends
+                    return
                 ends = np.append(ends, self.descend(nodes[first : first + TOGETHER], STEPS))
-            if self.energy[ends].min() < (1.0 - BETTER) * self.energy[0]:
+            is_better = self.energy[ends].min() < (1.0 - BETTER) * self.energy[0]
+            if (is_better or turn >= 2) and len(self.best(ENOUGH)) == ENOUGH:
                 break
-        return ends
+        self.descend(self.best(POLISHED), STEPS)
 
     def _spread(self, rounds: int, go_on: Callable[[float], bool]) -> bool:
         """Grow the tree; returns whether to continue."""
@@ -98,7 +93,13 @@ class Component:
             self._measure()
         return True
 
-    def best(self, count: int, known: Indices, energy: Array | None = None, apart: float = APART) -> Indices:
+    def best(
+        self,
+        count: int,
+        known: Sequence[int] | Indices = (),
+        energy: Array | None = None,
+        apart: float = DISTINCT,
+    ) -> Indices:
         """The nodes of least energy that differ by `apart` from one another and from those known, at most `count`.
 
         Their edges hold. Another energy (K,) of the nodes may be given.
@@ -134,30 +135,6 @@ class Component:
         descend(problem, q, problem.energies(q), self._generator, steps, accept)
         self._measure()
         return at
-
-    def minima(self, ends: Indices, count: int) -> Indices:
-        """Distinct minima among the nodes where descents ended, best first, at most `count`."""
-        found = self._distinct(ends)[:count]
-        # those that are left have a second descent: a slow one may yet end in another's minimum
-        return self._distinct(self.descend(found, STEPS))
-
-    def _distinct(self, nodes: Indices) -> Indices:
-        kept: list[int] = []
-        for node in nodes[np.argsort(self.energy[nodes], kind="stable")].tolist():
-            if not any(self._is_same(better, node) for better in kept):
-                kept.append(node)
-        return np.array(kept, dtype=np.intp)
-
-    def _is_same(self, better: int, worse: int) -> bool:
-        """Whether nothing separates two minima."""
-        q, space = self.tree.q, self.tree.ground.space
-        if np.abs(q[better] - q[worse]).max() <= DISTINCT:
-            return True
-        way = space.walk(q[worse][None], q[better, space.free][None], LOOKED_AT)[0, 1:]
-        if np.isnan(way).any() or np.abs(way[-1] - q[better]).max() > 1e-6:
-            return False
-        energy = self._problem.energies(way)
-        return bool(energy.max() <= self.energy[worse] + BARRIER and self.tree.ground.clear(way).all())
 
     def _measure(self) -> None:
         new = self.tree.q[len(self.energy) :]

@@ -20,7 +20,7 @@ from deltaq_cell.robot import RobotModel
 from deltaq_controllers.criteria.near_bodies import Clearance, Screen, least_gaps
 from deltaq_controllers.inverse.tracking import ConstraintTracker
 from deltaq_controllers.kinematics import placement_views
-from deltaq_protocol.arrays import Array, Flags
+from deltaq_protocol.arrays import Array, Flags, Indices
 
 
 class ExactClearance:
@@ -281,7 +281,7 @@ class MotionValidator:
             clear[inside] = self._exact.kept(q[inside], self.margin_m)
         return clear
 
-    def walk(self, origin: Array, target: Array) -> tuple[Array, Flags]:
+    def walk(self, origin: Array, target: Array) -> tuple[Array, Indices]:
         """Paths that are straight in the free joints.
 
         Args:
@@ -289,17 +289,19 @@ class MotionValidator:
             target: (N, m) free joints where they end.
 
         Returns:
-            (N, P + 1, n) configurations, and (N,) whether each path is inside the limits and without a jump.
+            (N, P + 1, n) configurations, and (N,) the last one up to which each path is inside the limits and
+            without a jump.
         """
         change = float(np.abs(target - origin[:, self.space.free]).max(initial=0.0))
         way = self.space.walk(origin, target, max(1, int(np.ceil(change / STEP))))
         steady = np.abs(np.diff(way, axis=1)).max(axis=2) <= SEARCHED_LEAP * STEP
-        return way, (steady & self.within(way[:, 1:])).all(axis=1)
+        last: Indices = np.logical_and.accumulate(steady & self.within(way[:, 1:]), axis=1).sum(axis=1)
+        return way, last
 
     def straight(self, origin: Array, target: Array) -> Flags:
         """(N,) whether configurations (N, n) can be reached from others (N, n) straight in the free joints."""
-        way, passes = self.walk(origin, target[:, self.space.free])
-        passes &= np.abs(way[:, -1] - target).max(axis=1) < 1e-6
+        way, last = self.walk(origin, target[:, self.space.free])
+        passes: Flags = (last == way.shape[1] - 1) & (np.abs(way[:, -1] - target).max(axis=1) < 1e-6)
         between = np.arange(1, way.shape[1])
         for looked_at in (between[between % SAMPLED == 0], between[between % SAMPLED != 0]):
             rows = np.flatnonzero(passes)

@@ -30,6 +30,8 @@ from deltaq_protocol.arrays import Array, Indices
 
 REACH = 0.3
 """Longest extension of a tree, in any free joint [rad or m]."""
+NARROW = 0.03
+"""Shortest random extension about a node, as a fraction of `REACH`."""
 EXTENSIONS = 24
 """Number of extensions tried at once."""
 TOWARDS = 6
@@ -124,20 +126,27 @@ class Tree:
         targets = generator.uniform(lower, upper, (EXTENSIONS, len(free)))
         half = EXTENSIONS // 2
         about = self.q[generator.integers(len(self), size=half)][:, free]
-        targets[:half] = np.clip(about + generator.normal(size=about.shape) * REACH, lower, upper)
+        # some of them short: next to a limit or a singularity a long one has no first step
+        reach = REACH * NARROW ** np.maximum(0.0, generator.uniform(-1.0, 1.0, (half, 1)))
+        targets[:half] = np.clip(about + generator.normal(size=about.shape) * reach, lower, upper)
         return self.extend(targets)
 
     def extend(self, targets: Array) -> Indices:
-        """Extend the nearest nodes towards free joints (k, m), by `REACH` at most; returns the new nodes."""
+        """Extend the nearest nodes towards free joints (k, m), by `REACH` at most, as far as a joint may go.
+
+        Returns:
+            The new nodes.
+        """
         free = self.ground.space.free
         parents = self.nearest(targets)
         origin = self.q[parents]
         change = targets - origin[:, free]
         change *= np.minimum(1.0, REACH / np.maximum(np.abs(change).max(axis=1, keepdims=True), 1e-9))
-        way, passes = self.ground.walk(origin, origin[:, free] + change)
-        for place in (way.shape[1] - 1, way.shape[1] // 2):
-            passes[passes] = self.ground.clear(way[passes, place])
-        return self.add(way[passes, -1], parents[passes])
+        way, last = self.ground.walk(origin, origin[:, free] + change)
+        passes, rows = last > 0, np.arange(len(way))
+        for place in (last, (last + 1) // 2):
+            passes[passes] = self.ground.clear(way[rows, place][passes])
+        return self.add(way[rows, last][passes], parents[passes])
 
     def _distances(self, targets: Array) -> Array:
         """(k, K) distances of the nodes from free joints (k, m); infinite for those that are cut off."""
@@ -265,7 +274,7 @@ def _reached(space: Space, q: Array, target: Array) -> Array | None:
     return None if np.isnan(reached).any() else reached
 
 
-ROUNDS = 30
+ROUNDS = 60
 """How often a tree is grown in search of one path."""
 CHECKED = 2
 """One of this many configurations of a path is measured exactly; the gate measures every one that is driven."""

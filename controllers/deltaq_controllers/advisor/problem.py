@@ -68,8 +68,7 @@ class AdvisorProblem:
         data: of the robot, for the criteria.
         weights: of the criteria, as given or `WEIGHTS`.
         energy: the weighted sum.
-        lower: (m,) lower limits of the free joints.
-        upper: (m,) their upper limits.
+        limits: (2, n) lower and upper limits of the joints within which configurations are tried.
         count: trials so far.
 
     Raises:
@@ -103,7 +102,7 @@ class AdvisorProblem:
             }
         self.weights = dict(weights)
         self.energy = Normalised(self.data, self.weights)
-        self.lower, self.upper = self.robot.lower[self.tracker.base], self.robot.upper[self.tracker.base]
+        self.limits: Array = np.stack([self.robot.lower, self.robot.upper])
         self.count = 0
 
     def at(
@@ -138,6 +137,24 @@ class AdvisorProblem:
         other.energy = Normalised(self.data, weights, self.references)
         return other
 
+    def inside(self, margin: Array) -> AdvisorProblem:
+        """This task with a margin (n,) to the limits of the joints [rad or m]."""
+        other = copy(self)
+        other.limits = self.limits + np.stack([margin, -margin])
+        return other
+
+    @property
+    def lower(self) -> Array:
+        """(m,) lower limits of the free joints."""
+        lower: Array = self.limits[0, self.tracker.base]
+        return lower
+
+    @property
+    def upper(self) -> Array:
+        """(m,) their upper limits."""
+        upper: Array = self.limits[1, self.tracker.base]
+        return upper
+
     @property
     def free(self) -> int:
         """Number m of free joints."""
@@ -161,7 +178,7 @@ class AdvisorProblem:
         for arm, branches in zip(
             self.tracker.arms, self.tracker.solve(base[within], self.poses), strict=True
         ):
-            lower, upper = self.robot.lower[arm.joints], self.robot.upper[arm.joints]
+            lower, upper = self.limits[:, arm.joints]
             arms.append((arm.joints, *branches.fitted(0.5 * (lower + upper), lower, upper)))
         found_q, found_row = [], []
         for combination in product(*(range(inside.shape[1]) for _, _, inside in arms)):
@@ -198,7 +215,7 @@ class AdvisorProblem:
         self.count += len(base)
         q = self.tracker.track(base, self.poses, reference)
         energy = np.full(len(base), np.inf)
-        there = np.isfinite(q[:, 0]) & np.isfinite(q).all(axis=1)
+        there = ((q >= self.limits[0]) & (q <= self.limits[1])).all(axis=1)
         if there.any():
             energy[there] = self.energies(q[there])
         return q, energy

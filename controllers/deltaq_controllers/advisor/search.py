@@ -151,7 +151,7 @@ def feasible(
     problem.count += len(flat)
     reached = []
     for arm, branches in zip(tracker.arms, tracker.solve(flat, problem.poses), strict=True):
-        lower, upper = problem.robot.lower[arm.joints], problem.robot.upper[arm.joints]
+        lower, upper = problem.limits[:, arm.joints]
         _, inside = branches.fitted(0.5 * (lower + upper), lower, upper)
         reached.append(inside.any(axis=1).reshape(shared, own))
     starts = []
@@ -190,7 +190,7 @@ class Found:
 
 Method = Callable[[AdvisorProblem, np.random.Generator, float], Iterator[Found]]
 
-CHAINS, CHAIN_STEPS = 64, 50
+CHAINS, CHAIN_STEPS = 64, 30
 BRANCHES_EVERY = 10
 """Steps of a chain after which it may change the branch of an arm; to try them all costs several trials."""
 FIRST_TEMPERATURE, LAST_TEMPERATURE = 0.05, 5e-4
@@ -304,11 +304,11 @@ def _start(problem: AdvisorProblem, generator: np.random.Generator, count: int) 
     return q[kept], energy[kept]
 
 
-DISTINCT = 0.25
-"""Options differ by more than this in at least one joint [rad or m]."""
+DISTINCT = 0.5
+"""The posture distance: options differ by more than this in at least one joint [rad or m]."""
 
-POLISHED, POLISH_STEPS = 32, 15
-"""How many configurations are polished, and how far."""
+POLISHED = ((32, 5), (8, 12))
+"""How many configurations are polished, and by how many steps: many a little, then the best of them."""
 
 POOL = 400
 """Configurations that are kept while searching."""
@@ -338,14 +338,14 @@ class Pool:
         """Least energy in the pool; infinite if it is empty."""
         return float(self.energy[0]) if len(self.energy) else float("inf")
 
-    def distinct(self, count: int, distance: float = DISTINCT) -> NDArray[np.intp]:
-        """Indices of the best that differ from all better ones by more than `distance` in some joint."""
+    def distinct(self, count: int) -> NDArray[np.intp]:
+        """Indices of the best that differ from all better ones by more than `DISTINCT` in some joint."""
         left = np.ones(len(self.q), dtype=np.bool_)
         chosen: list[int] = []
         while left.any() and len(chosen) < count:
             best = int(np.argmax(left))
             chosen.append(best)
-            left &= np.abs(self.q - self.q[best]).max(axis=1) > distance
+            left &= np.abs(self.q - self.q[best]).max(axis=1) > DISTINCT
         return np.array(chosen, dtype=np.intp)
 
 
@@ -356,7 +356,7 @@ def search(
     effort: float = 1.0,
     go_on: Callable[[str, float, float], bool] = lambda *_: True,
 ) -> Pool:
-    """Find configurations of low energy, polished.
+    """Find configurations of low energy, polished; without a free joint all there are.
 
     Args:
         problem: the task.
@@ -374,13 +374,17 @@ def search(
     """
     check_method(method)
     pool = Pool(np.empty((0, problem.robot.n)))
-    for found in METHODS[method](problem, generator, effort):
+    if not problem.free:
+        every = problem.try_all(np.empty((1, 0)))
+        pool.add(every.q, every.energy)
+    for found in METHODS[method](problem, generator, effort) if problem.free else ():
         pool.add(found.q, found.energy)
         if not go_on("searching", found.done, pool.best):
             break
-    rough = pool.distinct(POLISHED, 2 * DISTINCT)
     go_on("polishing", 0.0, pool.best)
-    pool.add(*descend(problem, pool.q[rough], pool.energy[rough], generator, POLISH_STEPS))
+    for count, steps in POLISHED:
+        rough = pool.distinct(count)
+        pool.add(*descend(problem, pool.q[rough], pool.energy[rough], generator, steps))
     kept = pool.distinct(POOL)
     return Pool(pool.q[kept], pool.energy[kept])
 

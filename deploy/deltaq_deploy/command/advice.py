@@ -87,7 +87,7 @@ class Advice:
         trials: configurations tried.
         elapsed_s: from the question to the options, paths included.
         executed: how the requested option was driven to; None if none was.
-        trade_off: the two criteria whose front the options are of; None for minima.
+        trade_off: the two criteria whose front the options are of; None for the least energy.
         word: on an arm without a closed form; empty if every arm has one.
     """
 
