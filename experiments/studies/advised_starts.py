@@ -4,7 +4,7 @@
     python -m studies.advised_starts --cell ./arms.yaml --robot panda --starts 100
 
 A start is a configuration drawn evenly over the joints' ranges in which nothing is too near. The advisor is asked for
-what is better with the hands where they are. With `--drive N` the best option of the first N starts is driven to, in
+what is better with the hands where they are. With `--drive N` every option of the first N starts is driven to, in
 virtual time and through the gate.
 """
 
@@ -13,6 +13,8 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Sequence
+from functools import partial
+from itertools import combinations
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
@@ -52,6 +54,10 @@ class AdvisedStarts(BaseModel):
     """Median fraction of the energy of the start that the best of these options saves."""
     options: float
     """Mean number of options with a path."""
+    starts_by_options: dict[str, int]
+    """Starts by how many options with a path they have."""
+    least_apart: float | None
+    """Least greatest difference of a joint between two options of a start [rad or m]."""
     without_path: float
     """Mean number of options without one."""
     p50_s: float
@@ -68,7 +74,7 @@ class AdvisedStarts(BaseModel):
     """Least distance of a joint of an option from its limit, as a fraction of its range."""
     least_limit_share_of_starts: float
     driven: int
-    """Starts from which the best option was driven to through the gate."""
+    """Options that were driven to through the gate."""
     reached: int
     """How many of these the robot reached."""
     hands_off_m: float | None
@@ -100,7 +106,7 @@ def run(
         robot: the robot.
         count: number of starts.
         seed: of the starts.
-        drive: to the best option of so many of them.
+        drive: to every option of so many of them.
         hands_may_leave: whether the hands may leave their place on the way to an option, and come back.
         cell_name: name or file of the cell; that of `CELLS` if not given.
 
@@ -118,7 +124,7 @@ def run(
     placed = starts(cell, robot, count, seed)
     for number, q in enumerate(placed):
         began_s, began_cpu_s = time.perf_counter(), time.process_time()
-        at = task.at(tracker.hands(q))
+        at = task.at(tracker.hands(q), hands_may_leave=hands_may_leave)
         answers.append(advise(at, q, generator=np.random.default_rng(number), exact=exact))
         wall_s.append(time.perf_counter() - began_s)
         cpu_s.append(time.process_time() - began_cpu_s)
@@ -133,12 +139,17 @@ def run(
         if found
     ]
 
-    def best(q: Array) -> Option | None:
-        found = advise(task.at(tracker.hands(q)), q, generator=np.random.default_rng(0), exact=exact)
-        return next((one for one in found if one.path is not None), None)
+    def ranked(q: Array, rank: int) -> Option | None:
+        at = task.at(tracker.hands(q), hands_may_leave=hands_may_leave)
+        found = advise(at, q, generator=np.random.default_rng(0), exact=exact)
+        return next((one for one in found[rank:] if one.path is not None), None)
 
-    goes = [q for q, found in zip(placed, better, strict=True) if found][:drive]
-    drives = [one for q in goes if (one := driven_to(cell_name, robot, q, best)) is not None]
+    drives = [
+        one
+        for q, answer in zip(placed[:drive], answers, strict=False)
+        for rank in range(len(answer))
+        if (one := driven_to(cell_name, robot, q, partial(ranked, rank=rank))) is not None
+    ]
     offered = [one for answer in answers for one in answer if one.path is not None]
     shares = [np.minimum(q - model.lower, model.upper - q) / (model.upper - model.lower) for q in placed]
     return AdvisedStarts(
@@ -151,6 +162,15 @@ def run(
         improving_in_place=_share(any(not one.hands_leave for one in found) for found in better),
         gain=float(np.median(gains)) if gains else 0.0,
         options=len(offered) / count,
+        starts_by_options=_counts(sum(one.path is not None for one in answer) for answer in answers),
+        least_apart=min(
+            (
+                float(np.abs(one.q - other.q).max())
+                for answer in answers
+                for one, other in combinations(answer, 2)
+            ),
+            default=None,
+        ),
         without_path=sum(one.path is None for answer in answers for one in answer) / count,
         p50_s=float(np.median(wall_s)),
         p99_s=float(np.quantile(wall_s, 0.99)),
@@ -190,7 +210,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--robot", default="dawm")
     parser.add_argument("--starts", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--drive", type=int, default=0, help="drive to the best option of so many starts")
+    parser.add_argument("--drive", type=int, default=0, help="drive to every option of so many starts")
     parser.add_argument("--hands-may-leave", action="store_true")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args(arguments)
