@@ -26,8 +26,9 @@ from deltaq_deploy.launch.services import video_services
 from deltaq_protocol import topics
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_protocol.messages import Phase, RobotState
-from deltaq_services.recorder.pictures import PICTURE, PictureKeeper
+from deltaq_services.recorder.protobuf import PICTURE
 from deltaq_services.recorder.replayed import replayed
+from deltaq_services.recorder.shell import PictureKeeper
 from deltaq_services.recorder.writer import RecordingWriter
 from deltaq_services.video.core import CaptureClock, MovingPattern, PictureLimit, shown_size, stamp_of
 from deltaq_services.video.shell import Encoder

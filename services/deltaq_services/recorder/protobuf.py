@@ -18,15 +18,18 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
 from deltaq_protocol.codec import InvalidMessageError, from_map
 from deltaq_protocol.errors import DeltaqError
-from deltaq_protocol.messages import Message
+from deltaq_protocol.messages import Message, Name, Real
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_protocol.topic import Hertz, Kind, Priority, Realm, Topic
 from deltaq_protocol.topics import TOPICS
-from deltaq_services.recorder.pictures import PICTURE
 
 PACKAGE = "deltaq"
 _FILE = "deltaq.proto"
 _ROW = "Row"
 """A list of numbers within a list, for which protobuf has no type."""
+
+PICTURES_PER_S = 5.0
+"""Live pictures that are kept of each stream."""
 
 M = TypeVar("M", bound=Message)
 _Proto = descriptor_pb2.FieldDescriptorProto
@@ -37,6 +40,22 @@ _SCALARS = {
     float: _Proto.TYPE_DOUBLE,
     bytes: _Proto.TYPE_BYTES,
 }
+
+
+class PictureReference(Message):
+    """A live picture that was taken at `captured_s` (since 1970), and its file in the folder beside the recording."""
+
+    robot: Name
+    stream: str
+    file: str
+    captured_s: Real
+
+
+PICTURE = Topic(
+    "picture", Realm.OPEN, Kind.STREAM, "deltaq/{cell}/{robot}/picture", PictureReference,
+    publishers=(), readers=(), rate=Hertz(PICTURES_PER_S), priority=Priority.ORDINARY,
+)  # fmt: skip
+"""No service publishes it: the recorder asks the service of the picture."""
 
 
 class SchemaError(DeltaqError):

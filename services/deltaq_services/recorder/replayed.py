@@ -20,7 +20,7 @@ from deltaq_protocol.identity import CellIdentity, mismatch
 from deltaq_protocol.messages import Outcome, Phase, Proximity, RobotState, Verdict
 from deltaq_protocol.reasons import EXPLANATIONS
 from deltaq_services.process import run
-from deltaq_services.recorder.pictures import PICTURE, PictureReference
+from deltaq_services.recorder.protobuf import PICTURE, PictureReference
 from deltaq_services.recorder.reader import Recording
 
 PERIOD_S = 0.04

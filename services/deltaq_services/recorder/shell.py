@@ -1,4 +1,4 @@
-"""The recorder's session: writes received messages of HLI and SIM to a file.
+"""The recorder's session: writes received messages of HLI and SIM to a file, and keeps live pictures beside it.
 
 It is a separate process that only listens. It cannot disturb the cell: senders drop the messages that it
 is too slow to take.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import queue
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -25,12 +26,22 @@ from deltaq_protocol.sayings import SIM
 from deltaq_protocol.topic import Kind, Party, Realm, Topic
 from deltaq_services.guarded_realm import open_watching_session
 from deltaq_services.process import HeldInterrupts
-from deltaq_services.recorder.pictures import PICTURE, PictureKeeper, PictureReference
+from deltaq_services.recorder.protobuf import PICTURE, PICTURES_PER_S, PictureReference
 from deltaq_services.recorder.writer import RecordingWriter
-from deltaq_services.video_stream import video_socket, video_streams
+from deltaq_services.video_stream import (
+    VideoStream,
+    newest_picture,
+    pictures_of,
+    video_socket,
+    video_streams,
+)
 
 _MOST_WAITING = 20_000
 """Messages that may wait to be written: some ten seconds of a cell."""
+
+MOST_PICTURES = 36_000
+"""Of one live stream, two hours; older ones are deleted."""
+_PICTURE_WITHIN_S = 2.0
 
 _BY_NAME = {topic.name: topic for topic in topics.TOPICS}
 
@@ -159,3 +170,54 @@ class Recorder:
             )
         else:
             self.writer.publish(topic, message, time_ns)
+
+
+class PictureKeeper:
+    """Keeps the pictures of one stream, in a thread of its own; a context manager.
+
+    Args:
+        stream: whose pictures.
+        socket: of its service, which may come and go.
+        recording: file beside which the pictures are kept.
+        kept: called in the thread with each reference.
+    """
+
+    def __init__(
+        self, stream: VideoStream, socket: Path, recording: Path, kept: Callable[[PictureReference], None]
+    ) -> None:
+        self._stream, self._socket, self._kept = stream, socket, kept
+        self._folder = pictures_of(recording)
+        self._epoch_s = time.time() - time.monotonic()
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"pictures of {stream.name}", daemon=True)
+
+    def __enter__(self) -> PictureKeeper:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        count = 0
+        while not self._ended.wait(1.0 / PICTURES_PER_S):
+            with contextlib.suppress(OSError, ValueError):  # without a picture the recording goes on
+                message = newest_picture(self._socket, _PICTURE_WITHIN_S)
+                if not message.jpeg:
+                    continue
+                self._folder.mkdir(exist_ok=True)
+                count += 1
+                file = self._file(count)
+                file.write_bytes(message.jpeg)
+                self._file(count - MOST_PICTURES).unlink(missing_ok=True)
+                captured_s = self._epoch_s + message.captured_s
+                stream = self._stream
+                self._kept(
+                    PictureReference(
+                        robot=stream.robot, stream=stream.name, file=file.name, captured_s=captured_s
+                    )
+                )
+
+    def _file(self, number: int) -> Path:
+        return self._folder / f"{self._stream.name}-{number:07d}.jpg"
