@@ -2,9 +2,11 @@
 
     deltaq bench filters none gate experiments/studies/filters_compared.py:Servo
     python -m studies.filters_compared --data FOLDER
+    python -m studies.filters_compared --drawn 2
 
 Each filter measures the distances on the meshes (`Distances`), as the judge does. FOLDER is that of
 `studies.foreign_scenes`; each of its problems is planned, and the path and the adversaries go through each filter.
+Drawn are scenes of the bench with example-robot-data's UR5.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ import argparse
 import json
 import math
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +25,7 @@ import numpy as np
 
 from deltaq import Gate, GateError
 from deltaq_deploy.launch.program import run_program
-from deltaq_experiments.bench.filter_scenes import Distances, FilterScene
+from deltaq_experiments.bench.filter_scenes import Distances, FilterScene, drawn_scene
 from deltaq_experiments.bench.filters import FILTERS, FilterRow, compare
 from deltaq_protocol.arrays import Array
 from studies.foreign_scenes import (
@@ -35,6 +38,9 @@ from studies.foreign_scenes import (
     problems,
     timed_path,
 )
+
+UR5 = "package://example-robot-data/robots/ur_description/urdf/ur5_robot.urdf"
+UR5_HOME = (0.0, -1.2, 1.2, -1.5, -1.5, 0.0)
 
 
 class Threshold:
@@ -160,10 +166,24 @@ def scene_of(folder: Path, told: dict[str, Any], request: dict[str, Any]) -> Fil
     return None
 
 
+def scenes(options: argparse.Namespace) -> Iterator[tuple[str, int, FilterScene | None]]:
+    """Name, number and scene: those that are drawn, then every so many-th of the problems."""
+    for seed in range(options.drawn):
+        yield "drawn", seed, drawn_scene(seed, UR5, UR5_HOME)
+    if options.data is not None:
+        folder = options.data / options.robot
+        for name, number, told, request in problems(folder, options.every):
+            try:
+                yield name, number, scene_of(folder, told, request)
+            except GateError as error:
+                print(name, number, error, flush=True)
+
+
 def main() -> None:
-    """Add up the figures of each filter over the problems of a robot, and print them after each problem."""
+    """Add up the figures of each filter over the scenes of a robot, and print them after each scene."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--data", type=Path)
+    parser.add_argument("--drawn", type=int, default=0, help="scenes of a UR5")
     parser.add_argument("--robot", choices=("ur5", "panda"), default="panda")
     parser.add_argument("--every", type=int, default=50)
     parser.add_argument("--cycles", type=int, default=250, help="of each adversary")
@@ -172,14 +192,9 @@ def main() -> None:
     options = parser.parse_args()
     until, filters = time.monotonic() + options.limit_s, {**FILTERS, **OTHERS}
     rows, done = {name: FilterRow() for name in filters}, 0
-    for name, number, told, request in problems(options.data / options.robot, options.every):
+    for name, number, scene in scenes(options):
         if time.monotonic() > until:
             break
-        try:
-            scene = scene_of(options.data / options.robot, told, request)
-        except GateError as error:
-            print(name, number, error, flush=True)
-            continue
         if scene is not None:
             done += 1
             list(compare(filters, scene, rows, options.cycles, number, options.ideal_drives))

@@ -189,10 +189,10 @@ def _shape(obstacle: Obstacle) -> Any:
 
 
 @cache
-def drawn_scene(seed: int) -> FilterScene:
-    """A KR 16 among boxes that are drawn from a seed, with straight paths that pass near a body."""
+def drawn_scene(seed: int, urdf: str = ROBOT, home: tuple[float, ...] = HOME) -> FilterScene:
+    """A robot, at `home`, among boxes that are drawn from a seed, with straight paths that pass near a body."""
     rng = np.random.default_rng(seed)
-    bare = FilterScene.of(Gate.from_urdf(ROBOT, CYCLE_S, q=HOME), ROBOT)
+    bare = FilterScene.of(Gate.from_urdf(urdf, CYCLE_S, q=home), urdf)
     boxes: dict[str, Obstacle] = {}
     while len(boxes) < BOXES:
         size_m = rng.uniform(0.1, 0.4, 3).tolist()
