@@ -297,6 +297,7 @@ class PathPlanner:
         exact: measures the paths that are returned.
         generator: of random numbers.
         start: (n,) where they begin, in the space.
+        rounds: how often a tree is grown in search of one path.
     """
 
     def __init__(
@@ -306,7 +307,9 @@ class PathPlanner:
         exact: ExactClearance,
         generator: np.random.Generator,
         start: Array,
+        rounds: int = ROUNDS,
     ) -> None:
+        self._rounds = rounds
         self._robot, self._space, self._exact, self._generator = robot, space, exact, generator
         self._way_out = parted(robot, space, exact, start, FINE_SHARE * MARGIN_M)
         self._start = self._way_out[-1]
@@ -334,7 +337,9 @@ class PathPlanner:
         room_m = min(FINE_SHARE * MARGIN_M, *(max(0.0, 0.8 * self._exact.measure(q).room_m) for q in ends))
         for wider in WIDER:
             ground = self._ground(ends, wider)
-            corners = connected(self._tree(wider), goal, ground, self._limits, self._generator, ROUNDS, go_on)
+            corners = connected(
+                self._tree(wider), goal, ground, self._limits, self._generator, self._rounds, go_on
+            )
             if not go_on():
                 raise NoPathError("the search for a path was ended")
             if corners is None:

@@ -44,6 +44,8 @@ SAMPLES = 300
 """Places of the base that are tried, in each of four shares of its range."""
 INSIDE = 0.8
 """Of a body's half size, how far from its centre it is looked at."""
+ROUNDS = 300
+"""Growths of a tree in search of one path: nobody waits for it at a stick."""
 LENSES = 8
 CONE_RAD = 0.35
 """Places of the camera from which a posture is looked at, and the half angle of their cone [rad]."""
@@ -296,7 +298,7 @@ class RoutinePlanner:
                 f"{request.plain.text}: {near.pair[0]} would be {near.distance_m:.3f} m from {near.pair[1]}, "
                 f"nearer than the stop distance, {near.distance_m - room_m:.3f} m"
             )
-        ways = PathPlanner(self._robot, HandsMoved(self._robot), exact, self._generator, request.q)
+        ways = PathPlanner(self._robot, HandsMoved(self._robot), exact, self._generator, request.q, ROUNDS)
         try:
             return ways.to(end, go_on)
         except NoPathError as error:
