@@ -458,7 +458,8 @@ class Gate:
         before = 0.0 if self._time_s is None else self._time_s
         most = math.inf if self._time_s is None else _SPAN_S
         if not 0.0 <= time_s - before <= most:
-            raise GateError("time_s", time_s, f"must be within {most:g} s after {before:g}", remedy)
+            bound = "at least 0" if self._time_s is None else f"within {most:g} s after {before:g}"
+            raise GateError("time_s", time_s, f"must be {bound}", remedy)
         passed = 1 if self._time_s is None else round((time_s - before) / self.cell.description.cycle_s)
         self._time_s = time_s
         return max(0, passed - 1)

@@ -68,7 +68,7 @@ SEVEN = [0.0] * 7
         (lambda gate: gate.step([0.0] * 6), "dq", r"shape \(7,\)"),
         (lambda gate: gate.step("fast"), "dq", "7 numbers"),
         (lambda gate: gate.step({"leg": SEVEN}), "robot", "one of arm"),
-        (lambda gate: gate.step(SEVEN, time_s=-0.1), "time_s", "after 0"),
+        (lambda gate: gate.step(SEVEN, time_s=-0.1), "time_s", "must be at least 0"),
         (lambda gate: gate.step(SEVEN, time_s=math.nan), "time_s", "finite"),
         (lambda gate: gate.step(SEVEN, time_s="now"), "time_s", "a number"),
         (lambda gate: gate.would_admit([9.0, *READY[1:]], SEVEN), "q_cmd", "panda_joint1 .* limits"),
