@@ -10,9 +10,9 @@ from packaging.utils import canonicalize_name
 
 GOES_WITH_APACHE = (
     r"MIT|BSD|Apache|PSF|Python Software Foundation|ISC|Zlib|BSL-1\.0|HPND|CC0|MPL|Mozilla|LGPL|"
-    r"Lesser General Public License|Eclipse Public License"
+    r"Lesser General Public License|Eclipse Public License|any-OSI"
 )
-"""Of these LGPL, MPL and EPL bind only who changes the library itself."""
+"""Of these LGPL, MPL and EPL bind only who changes the library itself; of any-OSI the user chooses one."""
 
 BOUND = r"(?<!L)GPL|(?<!Lesser )General Public License"
 """Licences that claim what is passed on with them."""

@@ -83,8 +83,8 @@ STALE_S = 0.1
 """Age of a view beyond the link's usual delay, above which it is stale: its last predicted setpoint is kept."""
 LOST_S = 1.0
 """The same, above which the other robot is lost."""
-_USUAL_RISES = 0.01
-"""Rate at which the link's usual delay, the least of late, may rise [s/s]."""
+_USUAL_RISES, _MOST_USUAL_S = 0.01, 0.5
+"""Rate at which the link's usual delay, the least of late, may rise [s/s], and how long it is at most [s]."""
 _ACCELERATION_S = 0.03
 """Time for which an unobserved acceleration is assumed to last."""
 _STEADY_S, _VELOCITY_S = 0.15, 0.3
@@ -202,7 +202,7 @@ class Foreseen:
         self._cycle_s = cycle_s
         self._later_s = lag_s(own.description.servo_lag) - lag_s(other.description.servo_lag)
         self._ahead_s = self.age_s = self._late_s = 0.0
-        self._usual_s = math.inf
+        self._usual_s = _MOST_USUAL_S
 
     @property
     def sight(self) -> Sight:
@@ -226,7 +226,7 @@ class Foreseen:
         """Add a view of the cell."""
         self.setpoints.update(other)
         self.age_s = own.time_s - other.time_s
-        self._usual_s = min(self.age_s, self._usual_s + _USUAL_RISES * self._cycle_s)
+        self._usual_s = min(self.age_s, self._usual_s + _USUAL_RISES * self._cycle_s, _MOST_USUAL_S)
         self._late_s = self.age_s - self._usual_s
         expected_s = self._usual_s + min(self._late_s, STALE_S)
         self._ahead_s = expected_s + (own.ahead_cycles + 1) * self._cycle_s + self._later_s
