@@ -27,7 +27,7 @@ from deltaq_deploy.launch.program import run_program
 from deltaq_protocol.blocking import BlockingCell
 from deltaq_testing.live import live_cell
 
-_UP = b"\x1b[A"
+_UP, _DOWN = b"\x1b[A", b"\x1b[B"
 _MOVED_RAD = 1e-4
 """A measured motion; the KRC's angles have steps of a thousandth of a degree, a sixth of it."""
 _STILL_S = 1.5
@@ -52,11 +52,11 @@ def _driven(cell: Path, robot: str) -> Iterator[int]:
             os.close(terminal)
 
 
-def _tap(running: BlockingCell, robot: str, keys: int) -> tuple[float, float]:
+def _tap(running: BlockingCell, robot: str, keys: int, key: bytes) -> tuple[float, float]:
     """Time from a press to the first setpoint that moves, and to the first measured motion [s]."""
     states = running.states(robot)
     rest, setpoint_s = next(states), None
-    os.write(keys, _UP)
+    os.write(keys, key)
     pressed_s = time.monotonic()
     for state in states:
         passed_s = time.monotonic() - pressed_s
@@ -76,9 +76,9 @@ def measure(cell: str, robot: str, presses: int, seed: int) -> dict[str, object]
             os.write(keys, _UP)  # the first comes before the drive has its lease, or while it compiles
             next(state for state in running.states(robot) if any(state.q_cmd) and state.phase == "engaged")
             cycle_s, taps = load_cell(file).cycle_s, []
-            for _ in range(presses):
+            for number in range(presses):  # to and fro, so that no tap meets a limit
                 time.sleep(_STILL_S + pauses.random() * cycle_s)
-                taps.append(_tap(running, robot, keys))
+                taps.append(_tap(running, robot, keys, (_DOWN, _UP)[number % 2]))
     shares = (50, 99)
     setpoint_ms, measured_ms = (
         np.percentile(1e3 * np.array(column), shares) for column in zip(*taps, strict=True)
