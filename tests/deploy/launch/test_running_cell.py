@@ -198,9 +198,9 @@ def test_outputs_are_set_and_shown_and_refused_to_others_than_the_lease_holder(c
 
 def test_a_contact_is_allowed_shown_and_forbidden_again(cell: RunningCell) -> None:
     assert cell.deltaq("contact", "gripper_on_valves").returncode == 0
-    wait_for_contacts(cell, {"gripper_on_valves": True})
+    wait_for_contacts(cell, {"gripper_on_valves": True, "sensor_on_plant": False})
     assert cell.deltaq("contact", "gripper_on_valves", "--forbid").returncode == 0
-    wait_for_contacts(cell, {"gripper_on_valves": False})
+    wait_for_contacts(cell, {"gripper_on_valves": False, "sensor_on_plant": False})
     unknown = cell.deltaq("contact", "handshake")
     assert unknown.returncode != 0
     assert "no contact 'handshake'; it has gripper_on_valves" in unknown.stderr
