@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -29,6 +30,7 @@ from deltaq_controllers.routines.run import (
     SeenCycle,
     SwitchRequest,
 )
+from deltaq_controllers.routines.shell import record_file, runs_of, unfinished
 from deltaq_protocol.messages import Sight
 
 LAB = CellModel.load("lab")
@@ -82,6 +84,11 @@ def test_a_wrong_request_names_what_there_is(routine, equipment, numbers, messag
         ("  - {wait_for: {inputs: {door: true}}}", "gr has no input 'door'"),
         ("  - {wait_for: {for_s: hold_s}}", "'hold_s' is no number"),
         ("  - {look: equipment}", "there is no equipment to look at"),
+        ("  - {repeat: 5000, steps: [{move_to: home}]}", "repeat 5000 is not from -1000 to 1000"),
+        (
+            "  - {repeat: 900, steps: [{repeat: -900, steps: [{move_to: home}]}]}",
+            "more than 1000 steps, repetitions included",
+        ),
     ],
 )
 def test_an_unsound_routine_is_refused_with_its_place(tmp_path: Path, steps: str, message: str) -> None:
@@ -297,3 +304,18 @@ def test_an_aborted_routine_backs_out_and_forbids_the_contact() -> None:
     assert record.room_m > 0.0
     at = GR.forward(np.array(lab.stack.states["gr"].q))[2, 3]
     assert at == pytest.approx(0.58, abs=1e-3)
+
+
+def test_a_record_with_lines_that_are_no_run_gives_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    assert runs_of("lab") == []
+    run = dict.fromkeys(("time", "routine", "source", "equipment", "numbers", "end", "why"), "")
+    run |= {"robot": "gr", "place": 2, "steps": 5}
+    file = record_file("lab")
+    file.parent.mkdir()
+    torn = json.dumps(run)[:30].encode()
+    file.write_bytes(b"\n".join([b"\xff", b"[]", b"{}", json.dumps(run).encode(), torn]))
+    assert runs_of("lab") == [run]
+    assert unfinished("lab", "gr") == run

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 
@@ -122,6 +123,23 @@ class Option:
     hands_leave: bool = False
     energy_here: float = float("nan")
     nearest: Mapping[PairKind, Clearance] = field(default_factory=dict)
+
+    @classmethod
+    def along(cls, path: Array, clearance: Clearance, hands_move: bool = True) -> Self:
+        """The end of a path (P, n) that is known already, and not ranked among others."""
+        return cls(
+            path[-1],
+            energy=0.0,
+            values={},
+            costs={},
+            clearance=clearance,
+            nearest_limit="",
+            limit_share=0.0,
+            hands_move=hands_move,
+            start=path[0],
+            path=path,
+            no_path="",
+        )
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,9 @@ from deltaq_controllers.inverse.tracking import ConstraintTracker
 from deltaq_controllers.kinematics import placement_views
 from deltaq_protocol.arrays import Array, Flags, Indices
 
+MEASURED = 12
+"""Configurations of a path at which its least distance is measured."""
+
 
 class ExactClearance:
     """Measures one robot of a cell, the others standing still.
@@ -72,6 +75,11 @@ class ExactClearance:
         tightest = min(self._groups, key=lambda group: self._proximity.least(group) - group.stop_distance_m)
         near = tightest.nearest()
         return Clearance(near.swept_m - tightest.stop_distance_m, near.distance_m, near.pair)
+
+    def tightest(self, path: Array) -> Clearance:
+        """The tightest pair on a path (P, n), measured at `MEASURED` of its configurations."""
+        places = np.linspace(0, len(path) - 1, MEASURED).round().astype(int)
+        return min(map(self.measure, path[places]), key=lambda clearance: clearance.room_m)
 
 
 class _KeptDistances:

@@ -248,17 +248,5 @@ def near_home(tracker: ConstraintTracker) -> Option:
     home = tracker.robot.home
     end = home.copy()
     end[tracker.base] += _NEAR
-    clearance = Clearance(room_m=0.0, distance_m=0.0, pair=("", ""))
-    return Option(
-        end,
-        energy=0.0,
-        values={},
-        costs={},
-        clearance=clearance,
-        nearest_limit="",
-        limit_share=0.0,
-        hands_move=False,
-        start=home,
-        path=np.array([home, end]),
-        no_path="",
-    )
+    nothing_near = Clearance(room_m=0.0, distance_m=0.0, pair=("", ""))
+    return Option.along(np.array([home, end]), nothing_near, hands_move=False)

@@ -94,8 +94,6 @@ _TRIED = 6
 """Ends whose ways are looked at, the quickest first."""
 PRACTISED_RAD = 0.05
 """Motion of each joint of an arm on the practised path [rad or m]."""
-_MEASURED = 12
-"""Number of configurations of a path at which its least distance is measured."""
 
 
 @dataclass(frozen=True)
@@ -237,23 +235,9 @@ class ReachPlanner:
 
     def _planned(self, path: Array, clear: int) -> PlannedReach:
         end = path[-1]
-        seen = path[np.linspace(0, min(clear, len(path) - 1), _MEASURED).round().astype(int)]
-        tightest = min((self._exact.measure(q) for q in seen), key=lambda clearance: clearance.room_m)
+        tightest = self._exact.tightest(path[: clear + 1])
         share = 1.0 if clear == len(path) else clear / len(path)
-        option = Option(
-            end,
-            energy=0.0,
-            values={},
-            costs={},
-            clearance=tightest,
-            nearest_limit="",
-            limit_share=0.0,
-            hands_move=True,
-            start=path[0],
-            path=path,
-            no_path="",
-        )
-        answered = Answered(self._tracker, Progress("", 1.0, 0.0, 0, (option,)))
+        answered = Answered(self._tracker, Progress("", 1.0, 0.0, 0, (Option.along(path, tightest),)))
         modes = {DrivingMode.ADVISOR: lambda robot: AdvisorMode(robot, self._cycle_s, answered)}
         setpoints = timed(path, self._tracker, self._cycle_s, hands_move=True)
         first = setpoints[min(1, len(setpoints) - 1)] - setpoints[0]

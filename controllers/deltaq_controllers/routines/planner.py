@@ -49,8 +49,6 @@ ROUNDS = 300
 LENSES = 8
 CONE_RAD = 0.35
 """Places of the camera from which a posture is looked at, and the half angle of their cone [rad]."""
-MEASURED = 12
-"""Configurations of a path at which its least distance is measured."""
 CONTACT_SHARE = 0.98
 """Of the speed that a contact allows: the gate then scales nothing."""
 
@@ -409,23 +407,8 @@ class RoutinePlanner:
         return self._free if touching else self._clear
 
     def _motion(self, path: Array, speed: float, touching: bool) -> PlannedMotion:
-        exact = self._exact(touching)
-        seen = path[np.linspace(0, len(path) - 1, MEASURED).round().astype(int)]
-        tightest = min((exact.measure(q) for q in seen), key=lambda clearance: clearance.room_m)
-        option = Option(
-            path[-1],
-            energy=0.0,
-            values={},
-            costs={},
-            clearance=tightest,
-            nearest_limit="",
-            limit_share=0.0,
-            hands_move=True,
-            start=path[0],
-            path=path,
-            no_path="",
-        )
-        answered = Answered(self._tracker, Progress("", 1.0, 0.0, 0, (option,)))
+        tightest = self._exact(touching).tightest(path)
+        answered = Answered(self._tracker, Progress("", 1.0, 0.0, 0, (Option.along(path, tightest),)))
         pace = (min(speed, self._contact_speed) if touching else speed) / SHARE
         modes = {
             DrivingMode.ADVISOR: lambda robot: AdvisorMode(robot, self._cycle_s, answered, pace),

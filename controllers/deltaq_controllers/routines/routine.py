@@ -7,9 +7,10 @@ the equipment (`reach_m`, `stroke_m`, `turns`), and in a repeated step `directio
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -273,10 +274,11 @@ def job_for(
             for field in ("reach_m", "stroke_m", "turns", "view_m")
             if (value := getattr(item, field)) is not None
         }
-    steps = tuple(_plain(name, routine.steps, known))
-    abort = tuple(_plain(name, routine.abort, known))
-    if len(steps) > MOST_STEPS:
-        raise RoutineError(f"{name}: {len(steps)} steps, repetitions included; at most {MOST_STEPS}")
+    steps, abort = (
+        tuple(islice(_plain(name, each, known), MOST_STEPS + 1)) for each in (routine.steps, routine.abort)
+    )
+    if max(len(steps), len(abort)) > MOST_STEPS:
+        raise RoutineError(f"{name}: more than {MOST_STEPS} steps, repetitions included")
     _check_steps(cell, name, robot, camera, item, (*steps, *abort))
     return Job(name, robot, camera, equipment, item, numbers, steps, abort)
 
@@ -339,15 +341,16 @@ def _numbers(
     return numbers
 
 
-def _plain(name: str, steps: tuple[Step, ...], known: Mapping[str, float]) -> list[PlainStep]:
+def _plain(name: str, steps: tuple[Step, ...], known: Mapping[str, float]) -> Iterator[PlainStep]:
     """The steps with their numbers, repetitions laid out."""
-    plain: list[PlainStep] = []
     for step in steps:
         if step.repeat is not None:
             times = _number(name, step.repeat, known)
             inner = dict(known) | {"direction": math.copysign(1.0, times)}
-            for count in range(1, min(round(abs(times)), MOST_STEPS) + 1):
-                plain += [PlainStep(each.step, count) for each in _plain(name, step.steps, inner)]
+            if abs(times) > MOST_STEPS:
+                raise RoutineError(f"{name}: repeat {times:g} is not from -{MOST_STEPS} to {MOST_STEPS}")
+            for count in range(1, round(abs(times)) + 1):
+                yield from (PlainStep(each.step, count) for each in _plain(name, step.steps, inner))
             continue
         changed: dict[str, Any] = {}
         if step.move_tool is not None:
@@ -360,8 +363,7 @@ def _plain(name: str, steps: tuple[Step, ...], known: Mapping[str, float]) -> li
             if condition is not None:
                 for_s = _number(name, condition.for_s, known)
                 changed[field] = condition.model_copy(update={"for_s": for_s})
-        plain.append(PlainStep(step.model_copy(update=changed)))
-    return plain
+        yield PlainStep(step.model_copy(update=changed))
 
 
 def _number(name: str, given: Number, known: Mapping[str, float]) -> float:
@@ -372,10 +374,11 @@ def _number(name: str, given: Number, known: Mapping[str, float]) -> float:
         times = float(factor) if star else 1.0
     except ValueError:
         times = math.nan
-    if not math.isfinite(times) or word.strip() not in known:
+    value = times * known.get(word.strip(), math.nan)
+    if not math.isfinite(value):
         names = ", ".join(known) or "none"
         raise RoutineError(f"{name}: {given!r} is no number, nor NUMBER * NAME with one of {names}")
-    return times * known[word.strip()]
+    return value
 
 
 def _check_steps(

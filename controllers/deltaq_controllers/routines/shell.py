@@ -45,6 +45,8 @@ from deltaq_protocol.reasons import EXPLANATIONS
 
 MOST_LINES = 1000
 """Runs that are kept in a cell's record."""
+_RUN_FIELDS = {"time", "routine", "source", "equipment", "robot", "numbers", "end", "why", "place", "steps"}
+"""Of a recorded run, those that are read again."""
 
 
 class LiveRoutine:
@@ -260,12 +262,14 @@ class LiveRoutine:
         }
 
     def _record(self) -> None:
-        file = record_file(self._cell.description.cell)
+        cell = self._cell.description.cell
+        file = record_file(cell)
         with suppress(OSError):  # a robot that has moved is no worse for a full disk
             file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
-            kept = [*lines[1 - MOST_LINES :], json.dumps(self.report())]
-            file.write_text("\n".join(kept) + "\n", encoding="utf-8")
+            kept = [*runs_of(cell)[1 - MOST_LINES :], self.report()]
+            whole = file.with_suffix(f".{os.getpid()}")
+            whole.write_text("".join(json.dumps(run) + "\n" for run in kept), encoding="utf-8")
+            whole.replace(file)  # who reads it meanwhile has the old one, or the new one
 
 
 def record_file(cell: str) -> Path:
@@ -276,11 +280,18 @@ def record_file(cell: str) -> Path:
 
 
 def runs_of(cell: str) -> list[dict[str, Any]]:
-    """The recorded runs of a cell, the oldest first."""
-    file = record_file(cell)
-    if not file.exists():
+    """The recorded runs of a cell, the oldest first; lines that are no run are left out."""
+    try:
+        lines = record_file(cell).read_bytes().splitlines()
+    except OSError:
         return []
-    return [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
+    runs = []
+    for line in lines:
+        with suppress(ValueError):
+            run = json.loads(line)
+            if isinstance(run, dict) and run.keys() >= _RUN_FIELDS:
+                runs.append(run)
+    return runs
 
 
 def unfinished(cell: str, robot: str = "") -> dict[str, Any]:
