@@ -132,6 +132,16 @@ def test_prediction_covers_the_age_of_the_view_and_the_delay_of_the_answer(lab: 
     assert other.age_s == pytest.approx(3 * CYCLE_S)
 
 
+def test_a_planned_leap_is_predicted_as_the_fastest_motion(lab: CellModel) -> None:
+    other, fastest = foreseen(lab), lab.robots["gr"].max_velocity * CYCLE_S
+    planned = (np.full(len(fastest), 1e6), np.full(len(fastest), -1e6))
+    for cycle in range(3):
+        own = RobotView(cycle, cycle * CYCLE_S, np.zeros(6), np.zeros(6))
+        rest = np.zeros(len(fastest))
+        other.update(own, RobotView(cycle, cycle * CYCLE_S, rest, rest, planned=planned))
+        assert (np.abs(other.ahead()) <= 2 * fastest).all()
+
+
 def test_a_frozen_view_becomes_stale_then_lost_and_then_fresh_again(lab: CellModel) -> None:
     other, sights = foreseen(lab), {}
     assert other.sight is Sight.LOST

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -199,7 +199,7 @@ class Foreseen:
 
     def __init__(self, other: RobotModel, own: RobotModel, cycle_s: float) -> None:
         self.setpoints = SetpointTracker(cycle_s)
-        self._cycle_s = cycle_s
+        self._cycle_s, self._max_dq = cycle_s, other.max_velocity * cycle_s
         self._later_s = lag_s(own.description.servo_lag) - lag_s(other.description.servo_lag)
         self._ahead_s = self.age_s = self._late_s = 0.0
         self._usual_s = _MOST_USUAL_S
@@ -224,6 +224,9 @@ class Foreseen:
 
     def update(self, own: RobotView, other: RobotView) -> None:
         """Add a view of the cell."""
+        if other.planned:  # its controller may ask for anything; the gate admits no more than this
+            planned = tuple(dq.clip(-self._max_dq, self._max_dq) for dq in other.planned)
+            other = replace(other, planned=planned)
         self.setpoints.update(other)
         self.age_s = own.time_s - other.time_s
         self._usual_s = min(self.age_s, self._usual_s + _USUAL_RISES * self._cycle_s, _MOST_USUAL_S)

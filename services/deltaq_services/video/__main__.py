@@ -44,11 +44,8 @@ def main() -> None:
     stream = streams[given.stream]
     camera = cell.robots[stream.robot].camera
     assert camera is not None  # it names the source
-    path, folder, login = (
-        video_socket(cell, stream.name),
-        find_cell(given.cell).parent,
-        given_token(LOGIN) or "",
-    )
+    path, folder = video_socket(cell, stream.name), find_cell(given.cell).parent
+    login = given_token(LOGIN) or ""
 
     async def serve() -> None:
         capture = Capture(stream.source, folder, camera.aspect, login)

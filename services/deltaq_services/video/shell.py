@@ -67,10 +67,8 @@ class Encoder:
             self._codec.time_base, self._codec.thread_count = _TICK, 1
             self._codec.qmin = self._codec.qmax = _QUALITY
         self._count += 1
-        shown.pts, shown.time_base = (
-            self._count,
-            _TICK,
-        )  # the encoder takes none that does not come after the last
+        # the encoder takes none that does not come after the last
+        shown.pts, shown.time_base = self._count, _TICK
         return b"".join(bytes(packet) for packet in self._codec.encode(shown))
 
 
@@ -109,12 +107,10 @@ class Capture:
                 self._read(on_message)
                 fault = ""
             except (SourceError, FFmpegError) as error:
-                fault = getattr(error, "strerror", None) or str(
-                    error
-                )  # without the address, which has the login
-            except (
-                Exception
-            ) as error:  # a source that is hostile, or a fault of the library: others are shown
+                # without the address, which has the login
+                fault = getattr(error, "strerror", None) or str(error)
+            except Exception as error:
+                # of a hostile source, or of the library: the next attempt may succeed
                 fault = repr(error)
             if not fault:
                 time.sleep(1.0 / MOST_PER_S)
@@ -163,11 +159,8 @@ class Capture:
         self.fault = ""
 
     def _generated(self) -> Iterator[tuple[av.VideoFrame, float]]:
-        pattern, epoch_s, due_s = (
-            MovingPattern(self._aspect),
-            time.time() - time.monotonic(),
-            time.monotonic(),
-        )
+        pattern, due_s = MovingPattern(self._aspect), time.monotonic()
+        epoch_s = time.time() - due_s
         while True:
             due_s = max(due_s + 1.0 / MOST_PER_S, time.monotonic())
             time.sleep(max(0.0, due_s - time.monotonic()))
@@ -220,9 +213,8 @@ class Capture:
             return av.open(source.removeprefix("v4l2:"), format="v4l2", options=rate, timeout=limits)
         if source.startswith("rtsp"):
             scheme, _, place = source.partition("://")
-            login = (
-                f"{':'.join(quote(part, '') for part in self._login.split(':', 1))}@" if self._login else ""
-            )
+            user = ":".join(quote(part, "") for part in self._login.split(":", 1))
+            login = f"{user}@" if user else ""
             options = {"rtsp_transport": "tcp", "fflags": "nobuffer"}
             return av.open(f"{scheme}://{login}{place}", options=options, timeout=limits)
         return av.open(
