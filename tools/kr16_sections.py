@@ -4,8 +4,6 @@ A slab is a box given by its range along x, y and z. The collision hull of a lin
 slabs, so it contains the link; it is larger where the link is hollow or waisted, never smaller.
 """
 
-from __future__ import annotations
-
 import math
 
 Range = tuple[float, float]

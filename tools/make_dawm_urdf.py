@@ -5,8 +5,6 @@ here is a stand-in. The two sides are equal but for the sign of y. The file is c
 nothing.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

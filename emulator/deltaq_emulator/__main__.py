@@ -1,7 +1,5 @@
 """`python -m deltaq_emulator --cell lab --robot fr`: run the emulated controller of one robot."""
 
-from __future__ import annotations
-
 import argparse
 import gc
 import logging

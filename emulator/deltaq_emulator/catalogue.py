@@ -1,7 +1,5 @@
 """Messages of the emulated controller, as an operator would read them on the pendant."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import StrEnum
 

@@ -1,7 +1,5 @@
 """The drives of the robot: their setpoint, the robot's position, and how they come to rest by themselves."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 

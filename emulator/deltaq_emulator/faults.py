@@ -1,7 +1,5 @@
 """Faults of the network, as a queue in time: no clock is used here, and one seed is one run."""
 
-from __future__ import annotations
-
 import heapq
 import math
 import random

@@ -4,8 +4,6 @@ One cycle: `tick` begins it, judges the replies to the last telegram, moves the 
 returns the telegram to send; `receive` takes the datagrams that come until the next `tick`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 

@@ -1,7 +1,5 @@
 """Monitors by which the controller stops the robot: limits, and the message that names the axis and the excess."""
 
-from __future__ import annotations
-
 from collections import deque
 
 import numpy as np

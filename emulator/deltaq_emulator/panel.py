@@ -19,8 +19,6 @@
 The answer is the status with `"ok": true`, or `{"ok": false, "error": …}`. It comes at once, except to `await`.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable, Mapping

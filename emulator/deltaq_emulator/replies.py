@@ -1,7 +1,5 @@
 """Judges replies: finds the one that answers this cycle's telegram, and names the fault of each other one."""
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from enum import StrEnum
 from typing import Literal

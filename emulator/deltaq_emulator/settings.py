@@ -1,7 +1,5 @@
 """Settings that an integrator makes at a controller: correction limits, late packets, precision, operating mode."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass
 from enum import StrEnum

@@ -5,8 +5,6 @@ machine holds it up for longer than a cycle, the emulated time stands still inst
 slip is counted. A reply that is missing in a cycle that this process itself began late does not count against the PC.
 """
 
-from __future__ import annotations
-
 import select
 import socket
 import time

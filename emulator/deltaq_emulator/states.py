@@ -4,8 +4,6 @@ The program is the one that every RSI application begins with: RSI_ON, RSI_MOVEC
 is drawn from this table.
 """
 
-from __future__ import annotations
-
 from enum import StrEnum
 
 from deltaq_protocol.errors import DeltaqError

@@ -1,7 +1,5 @@
 """The paper's approach (VI-B, Fig. 8): three starts with a large error, and a leader at rest."""
 
-from __future__ import annotations
-
 import math
 import time
 

@@ -1,7 +1,5 @@
 """The paper's collision avoidance (VI-E, Fig. 11): the leader tries to hit the follower; the focus is fixed."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """A camera experiment over real processes, zenoh and UDP, recorded by the emulated controllers themselves."""
 
-from __future__ import annotations
-
 import tempfile
 import threading
 from collections import deque

@@ -1,7 +1,5 @@
 """The options that all experiments of `deltaq experiment` share."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self

@@ -6,8 +6,6 @@ virtual time, steered by operators that are programs (`peg_and_valve_operators`)
 (`peg_and_valve_operators.Person`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 

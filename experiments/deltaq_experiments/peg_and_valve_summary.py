@@ -1,7 +1,5 @@
 """Summary of the peg and valve task over some seeds, with the paper's conclusions that it supports."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median, quantiles

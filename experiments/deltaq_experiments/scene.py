@@ -1,7 +1,5 @@
 """The roles of the robots in a camera experiment, and its camera controller."""
 
-from __future__ import annotations
-
 import math
 from typing import Protocol
 

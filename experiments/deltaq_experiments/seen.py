@@ -1,7 +1,5 @@
 """Visibility of the camera's target in a recorded run."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

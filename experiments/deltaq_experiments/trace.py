@@ -1,7 +1,5 @@
 """The record of a run, and the figures that follow from it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

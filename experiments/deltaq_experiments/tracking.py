@@ -1,7 +1,5 @@
 """The paper's camera tracking (VI-C, Fig. 9): the leader moves about, the camera keeps it in view."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 from pathlib import Path

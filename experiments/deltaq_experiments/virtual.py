@@ -1,7 +1,5 @@
 """A camera controller and a leader in virtual time, through the cores of the services, recorded."""
 
-from __future__ import annotations
-
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

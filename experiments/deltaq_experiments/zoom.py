@@ -1,7 +1,5 @@
 """The paper's zooming (VI-D, Fig. 10): the operator changes the view distance while the camera tracks."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 

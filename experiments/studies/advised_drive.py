@@ -1,7 +1,5 @@
 """Drive to one of the advisor's options in virtual time: through the gate, by the mode that an operator uses."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

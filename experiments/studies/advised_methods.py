@@ -6,8 +6,6 @@ A task is the hand poses of a clear configuration of the dual-arm robot, drawn a
 that any search of the run has found for it.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Sequence

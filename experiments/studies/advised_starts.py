@@ -8,8 +8,6 @@ what is better with the hands where they are. With `--drive N` every option of t
 virtual time and through the gate.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Sequence

@@ -14,8 +14,6 @@ headless Chromium:
 It needs Chromium and playwright (the extra `dev`).
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -6,8 +6,6 @@ where there is no way. It needs Chromium and playwright (the
 extra `dev`).
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import shutil

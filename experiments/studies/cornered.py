@@ -5,8 +5,6 @@ decision is timed. Of each run only some of the slowest are kept, so that the se
 read what is stored here (`deltaq_experiments.bench.decisions`).
 """
 
-from __future__ import annotations
-
 import gzip
 import heapq
 import time

@@ -5,8 +5,6 @@ itself. The robot does what is asked for; the gate is left out, so that the mode
 `--keeps-clear` it keeps clear of itself and its surroundings as when it is driven, the other robots at home.
 """
 
-from __future__ import annotations
-
 import argparse
 import gc
 import json

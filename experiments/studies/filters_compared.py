@@ -9,8 +9,6 @@ Each filter measures the distances on the meshes (`Distances`), as the judge doe
 Drawn are scenes of the bench with example-robot-data's UR5.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

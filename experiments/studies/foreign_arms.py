@@ -5,8 +5,6 @@ fastest increments that change at random (bang-bang), straight at the nearest bo
 (retreat). `Distances` judges every setpoint and where the robot would stop after it, on the meshes.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import time

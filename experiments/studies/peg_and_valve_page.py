@@ -1,7 +1,5 @@
 """Do the task over some seeds and write the page: `python -m studies.peg_and_valve_page --seeds 10`."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from pathlib import Path

@@ -4,8 +4,6 @@ A terminal drives a joint of an emulated robot by taps. A client that only watch
 setpoint that differs, and of the first measured configuration that does.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -5,8 +5,6 @@ All is drawn from a seed. Time is that of the gate's decisions alone, beside one
 pairs in the same run. Robot Servers, HLI and controllers cost as much as one robot's, times the number of robots.
 """
 
-from __future__ import annotations
-
 import argparse
 import gc
 import json

@@ -6,8 +6,6 @@ Of several passes the fastest counts, by the clock on the wall. `--environments`
 process of its own.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import time

@@ -4,8 +4,6 @@ async with aio.connect() as cell, cell.lease("fr") as robot:
 await robot.move_to([-2.0, -0.6, -1.4, 2.4, 1.5, 0.3], speed=0.2)
 """
 
-from __future__ import annotations
-
 import asyncio
 import os
 from collections.abc import AsyncIterator, Callable, Mapping

@@ -1,7 +1,5 @@
 """A robot's description from its URDF, with the source of each limit."""
 
-from __future__ import annotations
-
 import copy
 import math
 import re

@@ -3,8 +3,6 @@
 Pure: setpoints go in, increments come out. The gate still judges each of them.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

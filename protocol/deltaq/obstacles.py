@@ -5,8 +5,6 @@ Cylinder(radius_m=0.03, length_m=0.14, at=(0.4, 0.1, 0.07))
 Mesh("shelf.stl", at=(0.6, 0, 0), rpy=(0, 0, 1.57))
 """
 
-from __future__ import annotations
-
 import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Sequence

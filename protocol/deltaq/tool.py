@@ -1,7 +1,5 @@
 """A straight line of a robot's tool as a path of configurations, from the kinematics that a cell describes."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

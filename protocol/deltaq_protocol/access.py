@@ -5,8 +5,6 @@ another client's increments with their lease, publish states, and answer a stop 
 table does not name is denied. Any client may subscribe; it receives what the table allows the session to send.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Entries of the audit log: who did what, from where, in which role, and how it ended."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 from typing import Annotated
 

@@ -13,8 +13,6 @@ In a notebook, `cell = connect().open()` and `robot = cell.lease("fr").open()` l
 `cell.close()`, or until the interpreter ends.
 """
 
-from __future__ import annotations
-
 import asyncio
 import atexit
 import os

@@ -5,8 +5,6 @@ the least number of cycles for which no joint exceeds its deceleration limit. Ga
 these same functions, so that both know to the bit which setpoints are sent when nothing arrives.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -14,8 +14,6 @@ If the controller or its round trip takes longer than a cycle, or the cell has a
     increments in flight.
 """
 
-from __future__ import annotations
-
 import asyncio
 import atexit
 import contextlib

@@ -4,8 +4,6 @@ Both go through pydantic, so a decoded message is a valid one. Errors name the f
 allowed.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable
 from typing import Any, TypeVar

@@ -5,8 +5,6 @@ requests on the driver's standard input, reports and answers on its standard out
 `Answer`. The end of the input is a request too: come to rest, release the robot, end.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum

@@ -12,8 +12,6 @@ that several services read, such as a state, is without addressee (0). A receive
 An envelope is no cryptography. Unix permissions or mutual TLS decide who can connect to the guarded realm.
 """
 
-from __future__ import annotations
-
 import secrets
 import struct
 from collections.abc import Sequence

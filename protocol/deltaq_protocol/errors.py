@@ -3,8 +3,6 @@
 A message says what was wrong, what was given, what is allowed and what to do next.
 """
 
-from __future__ import annotations
-
 from typing import Literal
 
 Severity = Literal["error", "warning"]

@@ -1,7 +1,5 @@
 """A token of a service or client: in an environment variable, or in a file that such a variable names."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from pathlib import Path

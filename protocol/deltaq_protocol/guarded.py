@@ -1,7 +1,5 @@
 """Messages of the guarded realm: between HLI, SIM and Robot Servers."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator

@@ -4,8 +4,6 @@ The loop that does a service's work writes it, so a loop that hangs is found. Re
 no interpreter. `deltaq status --service` asks a service over the network instead, as its clients do.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import socket

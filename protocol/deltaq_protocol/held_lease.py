@@ -1,7 +1,5 @@
 """A held lease: renewed while its holder runs; a lost lease does not come back."""
 
-from __future__ import annotations
-
 import asyncio
 
 from deltaq_protocol import topics

@@ -13,8 +13,6 @@ With a jitter buffer (`deltaq_protocol.messages.Playout`) each state names the i
 verdict is needed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

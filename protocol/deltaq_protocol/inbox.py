@@ -1,7 +1,5 @@
 """From zenoh's threads to the event loop, bounded."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import logging

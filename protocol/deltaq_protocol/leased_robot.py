@@ -1,7 +1,5 @@
 """A robot that this client may move, as long as it holds the lease."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import itertools

@@ -4,8 +4,6 @@
 library; further fields of a line are given as `extra={"fields": {...}}`.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import math

@@ -1,7 +1,5 @@
 """What each part of a gamepad does, at the console and in `deltaq drive` alike: both take their layout from here."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import StrEnum
 

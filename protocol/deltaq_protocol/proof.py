@@ -12,8 +12,6 @@ The nonce says why the message is new:
 - an increment has none: its sequence number grows.
 """
 
-from __future__ import annotations
-
 import functools
 import hmac
 import itertools

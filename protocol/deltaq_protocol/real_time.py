@@ -5,8 +5,6 @@ clients might keep it busy. An emulated KRC comes after the services that answer
 all ordinary programs.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 from enum import IntEnum

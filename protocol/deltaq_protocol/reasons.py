@@ -3,8 +3,6 @@
 Verdicts, error replies, the phase of a robot, the documentation and the tests all read this table.
 """
 
-from __future__ import annotations
-
 from enum import StrEnum
 
 

@@ -5,8 +5,6 @@ their default. One kept receipt proves later that no refusal before it was chang
 recording replay` verifies the whole chain of a recording.
 """
 
-from __future__ import annotations
-
 import hashlib
 
 from deltaq_protocol.messages import Verdict

@@ -3,8 +3,6 @@
 Envelopes, access control over TLS and the reference follow from this table.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Checks of file permissions: a secret may be read only by its owner, a trusted file written only by its owner."""
 
-from __future__ import annotations
-
 import os
 import stat
 from collections.abc import Sequence

@@ -5,8 +5,6 @@ message is small. Urgent messages travel express, at real-time priority; streams
 a UDP link beside the TCP link (`tcp+udp/`), urgent streams use UDP.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

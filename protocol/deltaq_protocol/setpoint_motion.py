@@ -3,8 +3,6 @@
 A gate that decides a few cycles ahead must know which setpoints the Robot Server will have sent by then.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

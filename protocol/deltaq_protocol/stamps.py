@@ -5,8 +5,6 @@ is there from the start, and writes the ring into that folder when it ends; mess
 Stamps of different processes can be compared, since CLOCK_MONOTONIC is one clock for all processes of a machine.
 """
 
-from __future__ import annotations
-
 import atexit
 import itertools
 import json

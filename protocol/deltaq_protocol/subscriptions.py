@@ -1,7 +1,5 @@
 """A client's subscriptions to a cell: states and verdicts of its robots, decoded only when they are read."""
 
-from __future__ import annotations
-
 import asyncio
 from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable, Collection

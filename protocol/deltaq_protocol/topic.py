@@ -1,7 +1,5 @@
 """A row of the table of topics: key, message, rate, greatest age, priority, publishers and readers."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum

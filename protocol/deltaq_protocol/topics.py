@@ -6,8 +6,6 @@ by role, the recorder, `deltaq topic hz`, documentation and tests all follow fro
 Where the cell's `gate` bounds an age in seconds too (`max_request_age_s`), the lesser of the two decides.
 """
 
-from __future__ import annotations
-
 from deltaq_protocol import audit, guarded, messages
 from deltaq_protocol.messages import LeaseAction
 from deltaq_protocol.topic import (

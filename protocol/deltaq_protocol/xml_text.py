@@ -1,7 +1,5 @@
 """Text of XML files in whatever encoding they declare (XML 1.0, 2.11, 4.3.3 and appendix F)."""
 
-from __future__ import annotations
-
 import codecs
 import re
 

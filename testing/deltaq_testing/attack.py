@@ -4,8 +4,6 @@ One seed is one run. The independent checker measures every cycle of both robots
 controllers; the gate's own figures are not used.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """A controller that is a program of its own and speaks JSON lines, in virtual time."""
 
-from __future__ import annotations
-
 import socket
 import subprocess
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """A cell of real processes on ports of its own for the controller that is tested."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import time

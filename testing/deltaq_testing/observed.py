@@ -1,7 +1,5 @@
 """Findings about a run, by the independent checker: distances, limits, rest, reasons and tracking error."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 

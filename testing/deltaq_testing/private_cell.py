@@ -1,7 +1,5 @@
 """A cell on ports of its own, so that tests do not disturb each other."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import functools

@@ -1,7 +1,5 @@
 """Recording a run in virtual time, with the writer that records a running cell."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from itertools import chain, count

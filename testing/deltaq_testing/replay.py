@@ -6,8 +6,6 @@ the receipts of the recorded refusals must form one chain. After a gap in the re
 next snapshot.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field

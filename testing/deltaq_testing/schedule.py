@@ -1,7 +1,5 @@
 """Schedules of faults for a tested controller."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Schedules of faults for hypothesis, which shrinks one that fails to the shortest that still does."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Callable, Iterable, Sequence
 

@@ -1,7 +1,5 @@
 """A cell in virtual time for the controller that is tested: its faults come by schedule, and all is recorded."""
 
-from __future__ import annotations
-
 import weakref
 from collections import Counter
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """What the clients in other languages say and read are fields of the exported schema."""
 
-from __future__ import annotations
-
 import json
 import re
 import socket

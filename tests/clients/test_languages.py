@@ -1,7 +1,5 @@
 """The clients in other languages against a running HLI: what they do, and what they say when they cannot."""
 
-from __future__ import annotations
-
 import math
 import re
 import subprocess

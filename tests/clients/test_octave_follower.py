@@ -3,8 +3,6 @@
 It is judged by the states that the cell published, and by forward kinematics of the tests' own.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import socket

@@ -1,7 +1,5 @@
 """What the pages print for other languages runs, word for word but for the port, beside a running HLI."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The clients in other languages against a cell of real processes, one after another."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

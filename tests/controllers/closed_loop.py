@@ -1,7 +1,5 @@
 """The camera follower and its leader in a closed loop of plain kinematics, as the errata's table was made."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass
 from functools import cache

@@ -1,7 +1,5 @@
 """Another arm, by its URDF alone: seven axes, spherical shoulder and wrist, camera off the last axis."""
 
-from __future__ import annotations
-
 from closed_loop import lab
 
 from deltaq_cell.cell_model import CellModel

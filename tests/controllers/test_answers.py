@@ -1,7 +1,5 @@
 """`drive` in a cell with a lookahead: against a real HLI over zenoh, whose guarded realm is played by a peer."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import signal

@@ -1,7 +1,5 @@
 """The closed forms of the Titan II and the KR 16: every branch, the singular poses, what is out of reach."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Machine code must say what the Python says, and be found again where it was left."""
 
-from __future__ import annotations
-
 import ast
 import os
 import sys

@@ -1,7 +1,5 @@
 """Constraint tracking: hands that stay, whatever the base does; and the kinematics of many configurations at once."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 import published_arms

@@ -1,7 +1,5 @@
 """A control loop runs ahead of ordinary programs, and loses that if it does not wait."""
 
-from __future__ import annotations
-
 import os
 import sys
 import threading

@@ -1,7 +1,5 @@
 """Leader and follower as processes, on a cell of real services over zenoh and UDP."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import signal

@@ -1,7 +1,5 @@
 """The performance criteria: each against finite differences, its limits, and what it says about known postures."""
 
-from __future__ import annotations
-
 from itertools import combinations
 from typing import Any
 

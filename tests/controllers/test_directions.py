@@ -4,8 +4,6 @@ The library is pink 4.4.0 with quadprog 0.1.14: a task for each hand (cost 1 per
 1e-3, limits of position and speed, none of acceleration. It was run once on the same commands; it is no dependency.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The escape from an attacker: its model of both robots, what an attacker is after, and what comes of it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """No cycle waits for the compiler, its cache, or a module: all of that is ready before the lease is taken."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

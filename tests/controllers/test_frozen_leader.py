@@ -1,7 +1,5 @@
 """A leader whose states freeze for three seconds while it goes on, in a closed loop of plain kinematics."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

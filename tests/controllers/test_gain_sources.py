@@ -1,7 +1,5 @@
 """Every gain says where it comes from, and its unit agrees with its name."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """Going to a start, and turning the view distance by the states' own clock."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from closed_loop import CYCLE_S, lab, limit_violations

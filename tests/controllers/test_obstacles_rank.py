@@ -5,8 +5,6 @@ one side as to the other: joint travel, clearance from itself and everything els
 have no masses, as in many a URDF: then nothing has a load.
 """
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """"""
 
-from __future__ import annotations
-
 import os
 import pty
 from collections.abc import Sequence

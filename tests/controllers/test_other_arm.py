@@ -1,7 +1,5 @@
 """The followers on an arm that nobody tuned them for: seven axes, by URDF, the camera off the last axis."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import seven_axes

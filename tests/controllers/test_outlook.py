@@ -1,7 +1,5 @@
 """What hides a target from a camera, and what is a part of the target."""
 
-from __future__ import annotations
-
 import numpy as np
 from closed_loop import lab, with_camera
 from test_visibility import HOME, at, with_wall

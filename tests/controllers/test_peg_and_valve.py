@@ -1,7 +1,5 @@
 """The peg and the valve: the task, the operator who makes mistakes, and what is said of the figures."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

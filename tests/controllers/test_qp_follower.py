@@ -1,7 +1,5 @@
 """The quadratic programme as a follower, in a closed loop of plain kinematics: 12 ms cycle, 60 ms latency."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

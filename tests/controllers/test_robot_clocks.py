@@ -1,7 +1,5 @@
 """Robot Servers on hosts of their own: how old one robot's state is beside another's, in virtual time."""
 
-from __future__ import annotations
-
 import asyncio
 import random
 from types import SimpleNamespace

@@ -3,8 +3,6 @@
 The cell behind the HLI admits whatever it is asked; the real gate is in `test_ros2_mover.py`.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import logging

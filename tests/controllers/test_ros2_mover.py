@@ -1,7 +1,5 @@
 """Trajectories of ROS in virtual time, through the real gate: kept to the path, however much is admitted."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Where another robot will be, how old the view of it is, and what is foreseen when nobody sees it any more."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

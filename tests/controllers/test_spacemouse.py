@@ -4,8 +4,6 @@ There is no device here, nor a way to plug in a virtual one: bytes stand for its
 without a device is tested.
 """
 
-from __future__ import annotations
-
 import struct
 
 import pytest

@@ -1,7 +1,5 @@
 """Which of several targets a camera looks at, whatever hides them and however often."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """The shell around the teleoperator, on a cell without a wire."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import math

@@ -1,7 +1,5 @@
 """Following an option's path: at what time to be where, and what comes next."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

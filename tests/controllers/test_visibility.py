@@ -1,7 +1,5 @@
 """What a camera sees: the pictures of its eyes, and what stands on their lines of sight."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from closed_loop import lab

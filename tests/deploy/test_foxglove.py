@@ -3,8 +3,6 @@
 Foxglove itself is not run here.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A wheel in an environment of its own: what each extra gives, and what the command says where something is missing."""
 
-from __future__ import annotations
-
 import re
 import sys
 import tomllib

@@ -1,7 +1,5 @@
 """`deltaq krc`: the files of a real KRC say what the cell says, read back from what was written."""
 
-from __future__ import annotations
-
 import json
 import re
 import xml.etree.ElementTree as ET

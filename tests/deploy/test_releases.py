@@ -1,7 +1,5 @@
 """What is passed on: the source archive makes the same wheel as the tree, and is all that one needs to work on it."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What `deltaq krc` says of a KRC, from times and datagrams alone, and what it answers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from krc_bench import Bench

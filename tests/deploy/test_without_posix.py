@@ -4,8 +4,6 @@ A process in which those modules cannot be imported stands for such a system. Wh
 such as signals and sockets that are different there, no test shows.
 """
 
-from __future__ import annotations
-
 import sys
 
 import pytest

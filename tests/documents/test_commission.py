@@ -1,7 +1,5 @@
 """The commissioning guide: its commands run against the emulated controller, and its tables are the code's."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

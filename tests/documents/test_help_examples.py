@@ -1,7 +1,5 @@
 """Every example at the end of a help text, typed in an empty folder, and beside the lab cell where it needs one."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

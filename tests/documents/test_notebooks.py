@@ -1,7 +1,5 @@
 """The notebooks run from their first cell to their last, and show what they speak of."""
 
-from __future__ import annotations
-
 import os
 import sys
 from dataclasses import dataclass

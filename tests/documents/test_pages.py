@@ -1,7 +1,5 @@
 """README, tutorial and every how-to, word for word: in an empty folder, with the wheel in an environment of its own."""
 
-from __future__ import annotations
-
 import re
 import signal
 import subprocess

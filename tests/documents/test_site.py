@@ -1,7 +1,5 @@
 """The documentation as a site, as `make site` builds it: a dead link or a page that nothing leads to is an error."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

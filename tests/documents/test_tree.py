@@ -1,7 +1,5 @@
 """The tree holds together: one name for a type, code beside equations of the documents, no shared random numbers."""
 
-from __future__ import annotations
-
 import ast
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """RSI_ON, RSI_MOVECORR and what ends it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from krc_bench import CYCLE_S, Bench

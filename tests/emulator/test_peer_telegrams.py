@@ -4,8 +4,6 @@ The forms were written down from what is known of these programs; no file of the
 the emulated one must take; what a KRC sends the Robot Server must take. `REFUSED` is what it does not take, and why.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

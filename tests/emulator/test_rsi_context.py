@@ -1,7 +1,5 @@
 """Contexts and programs in the forms that RSI 2, 3 and 4 have them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Stamps of one robot's increments, made up in milliseconds."""
 
-from __future__ import annotations
-
 from deltaq_experiments.bench.journeys import OF_ADMISSION, OF_DECISION, OF_INCREMENT, RobotStamps
 from deltaq_protocol.stamps import CycleOutcome, StampStation
 

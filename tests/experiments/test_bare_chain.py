@@ -1,7 +1,5 @@
 """The bare chain of the benchmark, with real processes: every topic is passed on, and what goes wrong is an error."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

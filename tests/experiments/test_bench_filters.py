@@ -1,7 +1,5 @@
 """`deltaq bench filters`: what it measures, and what it says of filters that are none."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys

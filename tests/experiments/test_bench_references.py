@@ -1,7 +1,5 @@
 """The references of the benchmark: real processes on bare sockets, and what goes wrong."""
 
-from __future__ import annotations
-
 import os
 import socket
 import struct

@@ -1,7 +1,5 @@
 """Rows of `deltaq bench`: what keeps a bound and what does not, and what they measure."""
 
-from __future__ import annotations
-
 import gzip
 import itertools
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The camera's experiments in virtual time, cut short; `-m nightly` runs them at full length."""
 
-from __future__ import annotations
-
 import math
 import re
 import sys

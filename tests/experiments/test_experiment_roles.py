@@ -1,7 +1,5 @@
 """Experiments take from the cell who watches whom: names mean nothing, and each camera has its turn."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable

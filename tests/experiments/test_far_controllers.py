@@ -1,7 +1,5 @@
 """Controllers far away: what they reach in virtual time, and that a link that is too bad for them costs no limit."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """The studies of the gate alone: their checker sees bodies too near, and a public arm stays clear under attack."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Figures of a live benchmark from stamps: lost ones, late ones, none at all, and what a braked cycle is blamed on."""
 
-from __future__ import annotations
-
 from collections import Counter
 from pathlib import Path
 

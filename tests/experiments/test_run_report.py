@@ -1,7 +1,5 @@
 """`deltaq recording report`: a recording as one page that says what happened, and that carries nothing but itself."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys

@@ -1,7 +1,5 @@
 """The environment of the camera follower's task: what it refuses, what it shows, and that a seed is a run."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

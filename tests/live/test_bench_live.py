@@ -1,7 +1,5 @@
 """`deltaq bench --live` on a cell of real processes: what it tells is complete and agrees with itself."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

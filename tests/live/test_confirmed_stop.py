@@ -1,7 +1,5 @@
 """A stop and a reset over zenoh: what is answered is what the robots have shown."""
 
-from __future__ import annotations
-
 import pytest
 from shared_cell import SharedStack
 

@@ -1,7 +1,5 @@
 """The commands of every container, as the compose file has them, by a user without rights in a read-only view."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -4,8 +4,6 @@ Figures depend on the machine: the bounds are wide. In virtual time `tests/exper
 narrow ones.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What README shows of `import deltaq`, on a cell of real processes."""
 
-from __future__ import annotations
-
 import asyncio
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`kill -9` of what started a cell, while a robot moves: the robot brakes as certified, then everything ends."""
 
-from __future__ import annotations
-
 import os
 import select
 import signal

@@ -1,7 +1,5 @@
 """A running cell recorded by a process of its own, and the recording run through the gate."""
 
-from __future__ import annotations
-
 import json
 import resource
 import signal

@@ -1,7 +1,5 @@
 """Robots that are not deltaq's in a running cell: the guide word for word, and three arms on three Robot Servers."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

@@ -1,7 +1,5 @@
 """A routine on a cell of real processes: stopped half-way, reset, and gone on with from Python."""
 
-from __future__ import annotations
-
 import threading
 
 import pytest

@@ -1,7 +1,5 @@
 """A cell on two sites and a controller far away: it moves, it rests when cut off, it goes on."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Callable, Iterator

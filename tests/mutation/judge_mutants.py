@@ -4,8 +4,6 @@ Run by `make mutation`. A mutant that no test kills, and that no `mutants.md` be
 missing test; an explanation of a mutant that does not survive is out of date. Either fails.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """The client against a real HLI over real zenoh; the guarded realm is played by a peer."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections.abc import AsyncIterator

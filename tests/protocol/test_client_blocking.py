@@ -1,7 +1,5 @@
 """The blocking client, as a script uses it: the HLI runs in another thread's loop."""
 
-from __future__ import annotations
-
 import re
 import sys
 import threading

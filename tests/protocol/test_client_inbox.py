@@ -1,7 +1,5 @@
 """What lies between zenoh's threads and the loop: bounded, in order, and it outlives what it carries."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import threading

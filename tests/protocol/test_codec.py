@@ -1,7 +1,5 @@
 """What the codecs refuse, with which code, and that what they write is read back."""
 
-from __future__ import annotations
-
 import json
 import math
 import traceback

@@ -1,7 +1,5 @@
 """`deltaq.Gate`: bad input changes nothing, decisions are the core's, and foreign arms keep clear."""
 
-from __future__ import annotations
-
 import math
 import sys
 from pathlib import Path

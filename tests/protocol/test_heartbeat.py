@@ -1,7 +1,5 @@
 """Signs of life as a container's health check and systemd read them: the script and the socket are the real ones."""
 
-from __future__ import annotations
-
 import os
 import resource
 import socket

@@ -1,7 +1,5 @@
 """What is reckoned with that no state shows yet; `tests/testing/test_answering.py` holds it against real cores."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """What a process logs, as people and as programs read it: from processes of their own, as services are."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Proofs: any bit of secret, key, message and nonce counts."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

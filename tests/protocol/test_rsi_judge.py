@@ -1,7 +1,5 @@
 """The judge of a KRC's files: what cannot be safe is refused, what makes an outage worse is told."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

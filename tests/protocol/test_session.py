@@ -1,7 +1,5 @@
 """zenoh sessions: found only by address, found again when lost, and errors that say what to do."""
 
-from __future__ import annotations
-
 import contextlib
 import resource
 import socket

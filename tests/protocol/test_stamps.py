@@ -1,7 +1,5 @@
 """Stamps: a ring that forgets the oldest, a file that says what was lost, and nothing at all unless asked for."""
 
-from __future__ import annotations
-
 import sys
 import threading
 from pathlib import Path

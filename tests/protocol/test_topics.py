@@ -1,7 +1,5 @@
 """The table of topics: every key is its own, and no wildcard of one realm reaches into the other."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 

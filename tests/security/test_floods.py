@@ -1,7 +1,5 @@
 """Those who flood, and those who do not read: what others get meanwhile, in counts and in order, over real sockets."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import threading

@@ -1,7 +1,5 @@
 """Strangers at the HLI's own port, over real zenoh: what they hear, and what is believed of what they say."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager

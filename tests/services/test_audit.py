@@ -1,7 +1,5 @@
 """Who did what, as a real HLI writes it: strangers first."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import os

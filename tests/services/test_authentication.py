@@ -1,7 +1,5 @@
 """Who is believed, in virtual time."""
 
-from __future__ import annotations
-
 import itertools
 
 from deltaq_protocol.proof import Prover

@@ -1,7 +1,5 @@
 """Increments that come after their turn: their motion goes out all the same, and is told until it has."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

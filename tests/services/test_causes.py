@@ -1,7 +1,5 @@
 """States that the gate cannot have caused: each stops all robots and is told, and no other does."""
 
-from __future__ import annotations
-
 import random
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Services that have read different descriptions of a cell: nothing moves, everybody is told, a stop is obeyed."""
 
-from __future__ import annotations
-
 import itertools
 from collections import Counter
 from typing import Any

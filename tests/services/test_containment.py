@@ -1,7 +1,5 @@
 """After an error that nobody foresaw a core is what it was before the message, holds the robot, and lives."""
 
-from __future__ import annotations
-
 import json
 import logging
 import socket

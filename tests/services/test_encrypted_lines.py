@@ -1,7 +1,5 @@
 """JSON lines over TLS, with a certificate as the page tells to make one, and the client that it prints."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import socket

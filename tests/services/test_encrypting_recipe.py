@@ -1,7 +1,5 @@
 """The page's recipe for clients without TLS: `socat` in front of them. Skipped where it is not installed."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import re

@@ -1,7 +1,5 @@
 """No message of any kind, however extreme its values, brings out an error that nobody foresaw."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import re

@@ -1,7 +1,5 @@
 """Who is kept waiting, by a clock that the test turns."""
 
-from __future__ import annotations
-
 import pytest
 
 from deltaq_services.hli import zenoh_session

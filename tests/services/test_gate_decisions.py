@@ -1,7 +1,5 @@
 """One decision of the gate at a time: how much of a request is admitted, and what it says of the rest."""
 
-from __future__ import annotations
-
 import sys
 from contextlib import contextmanager
 

@@ -1,7 +1,5 @@
 """Tokens from files and variables, and that a console started with a bad one says which, without showing it."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import subprocess

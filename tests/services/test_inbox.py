@@ -1,7 +1,5 @@
 """Which request of a robot is decided, on which state, and what is said to the others."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import pytest

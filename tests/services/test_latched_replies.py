@@ -1,7 +1,5 @@
 """What a stop or a reset is answered with, and when: done means that the robots have shown it."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 

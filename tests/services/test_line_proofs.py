@@ -1,7 +1,5 @@
 """A hello over TCP that shows the role of a token without sending it."""
 
-from __future__ import annotations
-
 import json
 import ssl
 from collections.abc import AsyncIterator

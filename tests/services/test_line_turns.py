@@ -1,7 +1,5 @@
 """Whose line is served next, in virtual time."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 from deltaq_services.hli.places import (

@@ -1,7 +1,5 @@
 """Deciding a few cycles ahead: what is in flight, what becomes of it where the chain breaks, what clients are told."""
 
-from __future__ import annotations
-
 import random
 from dataclasses import replace
 from typing import Any

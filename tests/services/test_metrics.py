@@ -1,7 +1,5 @@
 """The exporter beside a real HLI, read as Prometheus reads it."""
 
-from __future__ import annotations
-
 import ast
 import asyncio
 import json

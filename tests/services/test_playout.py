@@ -1,7 +1,5 @@
 """Increments that wait for their turn: the buffer, and the HLI around it."""
 
-from __future__ import annotations
-
 import itertools
 import random
 from typing import Any

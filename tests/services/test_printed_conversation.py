@@ -1,7 +1,5 @@
 """The conversation in the how-to on sockets is held as it is printed, with a running HLI."""
 
-from __future__ import annotations
-
 import json
 import re
 import socket

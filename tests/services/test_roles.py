@@ -1,7 +1,5 @@
 """Who may do what, and where the tokens come from: the bad ones first."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

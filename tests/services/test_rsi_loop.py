@@ -1,7 +1,5 @@
 """The loop of a Robot Server on RSI, over its real socket and link, step by step: nothing here waits for a clock."""
 
-from __future__ import annotations
-
 import logging
 import signal
 import socket

@@ -1,7 +1,5 @@
 """Controllers that compute for 150 ms now and then, each as it is printed: no line that was sent to them is lost."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import sys

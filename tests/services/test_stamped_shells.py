@@ -1,7 +1,5 @@
 """What the shells stamp: a watched gate decides as it did, and each cycle of a Robot Server has its outcome."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

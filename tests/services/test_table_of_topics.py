@@ -1,7 +1,5 @@
 """The table of topics is obeyed: change a row, and what is done changes with it."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import queue

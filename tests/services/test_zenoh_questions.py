@@ -1,7 +1,5 @@
 """Questions over zenoh: whoever asks too much waits, whatever they prove, and no question is lost by that."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 from typing import Any

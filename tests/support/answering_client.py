@@ -1,7 +1,5 @@
 """A controller in virtual time that answers each state as it comes, and says what setpoints it reckoned with."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A running HLI that keeps an audit log, in a guarded realm that is played."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import ssl

@@ -4,8 +4,6 @@ Simulation: Machado, Oliveira and Fernandes, A Physiologically-based Model for S
 2009, severity 1. Distance: Euclidean in CIELAB (D65); about 2 is just seen side by side.
 """
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

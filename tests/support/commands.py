@@ -4,8 +4,6 @@ Most tests ask what a command prints and how it ends, and would wait for Python 
 times. `deltaq` forks its process from one that has imported them, and nothing else; `PROGRAM` is the program itself.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import subprocess

@@ -4,8 +4,6 @@ Each has mounts and processes of its own, and no capability; the network is that
 file says. What an engine does besides - images, cgroups, its own seccomp profile - is not there.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import resource

@@ -1,7 +1,5 @@
 """A Robot Server that dies, and its KRC, in virtual time: what it left, and what goes on from there."""
 
-from __future__ import annotations
-
 from krc_side import CELL, FR, XML, KrcSide
 
 from deltaq_services.robot_server.crash_brake.core import CrashBrake

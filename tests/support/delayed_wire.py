@@ -1,7 +1,5 @@
 """A wire whose messages take as long as a distribution says, and keep their order."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable
 

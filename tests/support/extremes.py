@@ -1,7 +1,5 @@
 """Messages with extreme values, derived from the schema of their model: a new message needs no code here."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Iterator
 from functools import cache

@@ -1,7 +1,5 @@
 """The bounds of a follower that is far away, as the page of two sites states them."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any, NamedTuple

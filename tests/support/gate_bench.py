@@ -1,7 +1,5 @@
 """Robots of the lab cell where a test wants them, at rest or in motion, near something or not."""
 
-from __future__ import annotations
-
 import numpy as np
 from gate_rig import CELL as LAB
 from small_cell import server_state

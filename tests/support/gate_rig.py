@@ -1,7 +1,5 @@
 """The gate with real Robot Servers' cores behind it, and what it says, message by message."""
 
-from __future__ import annotations
-
 import math
 
 from deltaq_cell.cell_model import CellModel

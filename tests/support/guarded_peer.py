@@ -1,7 +1,5 @@
 """The guarded realm of a cell, played by a peer: it speaks real zenoh, as SIM and Robot Servers would."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager

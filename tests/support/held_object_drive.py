@@ -5,8 +5,6 @@ singularities and speeds bind. In half of the drives a random part of the cycles
 gate has it do then, and brakes straight in joint space, so that the hands leave their lines.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from deltaq_cell.robot import RobotModel

@@ -1,7 +1,5 @@
 """Identities of a cell, as `deltaq keys` makes them."""
 
-from __future__ import annotations
-
 from datetime import timedelta
 from pathlib import Path
 

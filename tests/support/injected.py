@@ -1,7 +1,5 @@
 """An error in the middle of a core: the n-th call of a function of some packages raises."""
 
-from __future__ import annotations
-
 import inspect
 import sys
 from collections.abc import Iterator

@@ -4,8 +4,6 @@ Third-party packages are not downloaded again: those that the wheel asks for are
 environment that runs the tests. pip then installs the wheel with `--no-index`, and refuses if one is missing.
 """
 
-from __future__ import annotations
-
 import importlib
 import os
 import shutil

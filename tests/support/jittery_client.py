@@ -1,7 +1,5 @@
 """A controller in virtual time that answers every state, after times that its wires draw."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from leasing_client import LeasingClient

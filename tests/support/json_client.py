@@ -1,7 +1,5 @@
 """A client of JSON lines, as a script would be."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import ssl

@@ -1,7 +1,5 @@
 """An emulated controller in virtual time and a PC that answers it, for tests."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Any

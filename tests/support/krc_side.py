@@ -1,7 +1,5 @@
 """The KRC's side of one robot's RSI, telegram by telegram, in virtual time, before a Robot Server's driver and core."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The clients in other languages, each with the command that runs a program of its own."""
 
-from __future__ import annotations
-
 import functools
 import os
 import shutil

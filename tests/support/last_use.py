@@ -4,8 +4,6 @@ A cell that runs costs half a core also while nobody asks it anything. Files tha
 after the other.
 """
 
-from __future__ import annotations
-
 from collections.abc import Generator
 from contextlib import AbstractContextManager, ExitStack
 from typing import TypeVar

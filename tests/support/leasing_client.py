@@ -1,7 +1,5 @@
 """What controllers in virtual time have in common: the lease, and who hears what the HLI says."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 

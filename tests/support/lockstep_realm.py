@@ -4,8 +4,6 @@ Nothing here waits for a clock, so that a braked cycle has a cause other than a 
 `lasting_links`: zenoh's links have a clock of their own, which closes them when the machine pauses.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import time

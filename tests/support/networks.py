@@ -1,7 +1,5 @@
 """Networks of the tests' own, where they may make some."""
 
-from __future__ import annotations
-
 import functools
 import shutil
 import socket

@@ -1,7 +1,5 @@
 """GNU Octave, where it is installed, with the MATLAB client on its path."""
 
-from __future__ import annotations
-
 import functools
 import os
 import shutil

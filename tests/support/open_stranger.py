@@ -1,7 +1,5 @@
 """A stranger in the open realm: a zenoh session without any credential, at the HLI's own port."""
 
-from __future__ import annotations
-
 import json
 import queue
 from typing import Any

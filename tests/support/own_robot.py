@@ -1,7 +1,5 @@
 """Robots that are not deltaq's: a small arm with meshes in a ROS package, alone or several in a circle."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -13,8 +13,6 @@ A comment before a fenced block says what a reader does with it:
 Everything happens in one empty folder: `python pages.py PAGE FOLDER [--nightly]`.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import re

@@ -4,8 +4,6 @@ As a program it compiles the inverse kinematics of arms that nobody wrote one fo
 else compile at the same time.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from tempfile import TemporaryDirectory
 

@@ -1,7 +1,5 @@
 """Programs in processes of their own, with what they print."""
 
-from __future__ import annotations
-
 import subprocess
 from collections.abc import Sequence
 from typing import Any

@@ -3,8 +3,6 @@
 Nothing of the product runs it; tests hold the gate's kernel against it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from deltaq_cell.compiled_proximity import DistanceQuery

@@ -1,7 +1,5 @@
 """A recording written anew with some of its messages changed or left out."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 Keys and tokens are spelled out: it shares nothing with the bridge but the library of messages.
 """
 
-from __future__ import annotations
-
 import json
 import queue
 import struct

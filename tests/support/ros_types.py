@@ -1,7 +1,5 @@
 """ROS messages for tests, written and read with all that ROS knows of them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

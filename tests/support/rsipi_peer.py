@@ -3,8 +3,6 @@
 Corrects A1 by 5 and A3 by -3 degrees and prints what it saw as one JSON object.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time

@@ -1,7 +1,5 @@
 """A console for the length of a block, and what a browser says to it and hears, without its page."""
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 import json

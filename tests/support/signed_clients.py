@@ -1,7 +1,5 @@
 """Operators and controllers of the small cell, with identities."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from identities import make

@@ -1,7 +1,5 @@
 """A small cell for tests of what lies between controllers and gate: fr with six joints, gr with nine."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

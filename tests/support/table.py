@@ -1,7 +1,5 @@
 """The table of topics with a row changed, for tests that what it says is what is done."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -4,8 +4,6 @@ Everything comes from the KRC's own address, as a forger on its line can make it
 admitted and where the true KRC stands, and believes nothing that driver, core or guard say of themselves.
 """
 
-from __future__ import annotations
-
 import random
 import re
 

@@ -5,8 +5,6 @@ the machine code of the whole says what its Python does, `tests/cell/test_kernel
 `tests/controllers/test_compiled.py` of the camera's laws.
 """
 
-from __future__ import annotations
-
 import sys
 from functools import cache
 from importlib import import_module

@@ -1,7 +1,5 @@
 """Forward kinematics from the text of a URDF, by nothing but matrices: to judge what others made of it."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 

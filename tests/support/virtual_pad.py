@@ -1,7 +1,5 @@
 """A gamepad that is none: SDL's virtual joystick, plugged in and out and moved as a hand would."""
 
-from __future__ import annotations
-
 import ctypes
 from pathlib import Path
 from types import TracebackType

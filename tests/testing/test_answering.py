@@ -1,7 +1,5 @@
 """A controller that answers each state as it comes and waits for no verdict, in virtual time, with the real cores."""
 
-from __future__ import annotations
-
 import math
 import random
 from collections import deque

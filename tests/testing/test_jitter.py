@@ -1,7 +1,5 @@
 """Answers that take a little longer now and then, in virtual time: what an increment in hand makes of them."""
 
-from __future__ import annotations
-
 import math
 import random
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The mover of the faults, at the other end of a real socket."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import socket

@@ -1,7 +1,5 @@
 """Robots that are not deltaq's in virtual time: three keep clear of each other, and what they did replays."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from itertools import combinations

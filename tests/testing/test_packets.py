@@ -1,7 +1,5 @@
 """A link that loses and delays packets, with the kernel's own TCP and UDP over it."""
 
-from __future__ import annotations
-
 import asyncio
 import socket
 import time

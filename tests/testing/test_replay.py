@@ -1,7 +1,5 @@
 """Recordings run through the gate again: nothing may differ, and nothing that differs may pass."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import struct

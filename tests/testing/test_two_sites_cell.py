@@ -1,7 +1,5 @@
 """The cell of two sites: what the page prints is what the test runs, and both halves are what each site starts."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The virtual cell: its clients, its wires and its processes, and that one seed is one run."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

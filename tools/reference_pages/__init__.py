@@ -3,8 +3,6 @@
 Every page follows from a table or a model, so that none can fall behind; a test holds the committed pages.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from reference_pages import robots, testing, wire

@@ -1,7 +1,5 @@
 """Write all pages: `make docs`."""
 
-from __future__ import annotations
-
 from reference_pages import FOLDER, PAGES, page
 
 

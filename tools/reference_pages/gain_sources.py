@@ -4,8 +4,6 @@ Equations are those of the first paper. A gain that says "trial" was changed unt
 virtual time were good enough, so another value may be as good.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 TRIAL = "trial"

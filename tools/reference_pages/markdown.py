@@ -1,7 +1,5 @@
 """Tables of a page, and the fields of a model as a list."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import json

@@ -1,7 +1,5 @@
 """Pages of a cell, the command and its services, the emulated KRC, criteria and gains."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 

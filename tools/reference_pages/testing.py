@@ -1,7 +1,5 @@
 """The page of testing controllers: fixtures, what a test does and asks, faults, and the fields of a scenario."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable, Iterator
 from typing import Any

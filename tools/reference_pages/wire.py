@@ -1,7 +1,5 @@
 """Pages of what crosses a wire."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from enum import Enum
 

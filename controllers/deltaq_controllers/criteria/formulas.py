@@ -4,8 +4,6 @@ A cell's description has no torque limits. The torque that gives a joint its des
 home, `M_jj a_j`, stands in: a drive has at least that. Forces and loads are in this measure.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 

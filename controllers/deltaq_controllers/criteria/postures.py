@@ -1,7 +1,5 @@
 """Configurations of a robot with everything that criteria need of them, computed once and only on demand."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cached_property
 

@@ -7,8 +7,6 @@ distance, by the gate's shapes; pairs whose distance the hands' poses fix are le
 acceleration: a cell's description has no torque limits.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum

@@ -6,8 +6,6 @@ in closed form, which are then refined to the last digit and checked. For any ot
 installed, Newton's method from many starts finds most branches, some forty times slower.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """All solutions of an inverse, and the choice among them."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ stretched out level. With `e(t) = (cos t, -sin t)` in the vertical plane of the 
 `Rz(-A1) Ry(A2 + A3) Rx(-A4) Ry(A5) Rx(-A6)`.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -9,8 +9,6 @@ The forward kinematics that the closed form implies, in the arm's base frame wit
 `P = Rx(-t1) [L1 z + L2 Ry(t2) z + L3 Ry(t2 + t3) z + L4 Ry(Phi) z]`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

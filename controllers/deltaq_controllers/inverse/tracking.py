@@ -5,8 +5,6 @@ only the joints outside six of each chain are free, as a rule those before the l
 on a gantry 3 of 9, a Panda 1 of 7.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol

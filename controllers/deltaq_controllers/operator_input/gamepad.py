@@ -3,8 +3,6 @@
 The sticks count only while a shoulder button is held. An unplugged pad means rest; it works again when plugged in.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass

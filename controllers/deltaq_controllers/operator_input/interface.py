@@ -1,7 +1,5 @@
 """The interface behind keyboard, gamepad, SpaceMouse, master arm, script and options."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from typing import Protocol, Self

@@ -4,8 +4,6 @@ A tap moves a little, a held key moves until shortly after it is let go (`deltaq
 hands off is rest.
 """
 
-from __future__ import annotations
-
 import os
 import select
 import sys

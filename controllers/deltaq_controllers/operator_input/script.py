@@ -1,7 +1,5 @@
 """An operator whose commands are a script: a YAML file of steps."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path

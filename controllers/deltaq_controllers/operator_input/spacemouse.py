@@ -1,7 +1,5 @@
 """A SpaceMouse moves the hand; everything else is chosen by keys of the terminal."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterable
 from contextlib import ExitStack

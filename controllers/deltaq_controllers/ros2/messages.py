@@ -4,8 +4,6 @@ They are objects of rosbags, with the fields of the public interface definitions
 `sensor_msgs` and `trajectory_msgs`. Joint quantities are in rad and m, rad/s and m/s, rad/s^2 and m/s^2, N m and N.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

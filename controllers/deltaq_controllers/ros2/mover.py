@@ -3,8 +3,6 @@
 Pure: messages, states and verdicts are handed in, with the time where it matters.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Mapping
 from enum import StrEnum

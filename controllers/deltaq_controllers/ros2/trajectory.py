@@ -1,7 +1,5 @@
 """A trajectory as a robot can follow it: a message that was checked against the robot's joints and limits."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Exit status: 0 done, 1 the thing reported is bad, 2 wrong usage or configuration
 reached, 130 interrupted before there was a result.
 """
 
-from __future__ import annotations
-
 import sys
 from typing import NoReturn
 

@@ -1,7 +1,5 @@
 """The advisor on a cell: from where its robot is, or from its home, and through the gate to an option."""
 
-from __future__ import annotations
-
 import asyncio
 import signal
 import time

@@ -4,8 +4,6 @@ No file of verbs imports a heavy package (numpy, pydantic, zenoh, matplotlib) ou
 completion are quick.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Annotated, Any, NamedTuple
 

@@ -4,8 +4,6 @@ RSI 4 and later have one `.rsix`, which RSI Visual fills with its own catalogue 
 known, so for those there is a list to build it from.
 """
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass

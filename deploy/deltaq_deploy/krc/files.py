@@ -1,7 +1,5 @@
 """The files of a KRC: their texts, their destination on the controller, and writing them into a folder."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Contents of the files of one robot's KRC, in the KRC's own terms: degrees, millimetres, axes and channels."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum

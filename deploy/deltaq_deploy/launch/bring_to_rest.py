@@ -1,7 +1,5 @@
 """Stops of a running cell: bring its robots to rest, also over the JSON lines when no zenoh session can be had."""
 
-from __future__ import annotations
-
 import json
 import os
 import socket

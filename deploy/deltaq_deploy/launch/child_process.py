@@ -1,7 +1,5 @@
 """Child processes of the launcher, in sessions of their own, with their output read line by line."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import os

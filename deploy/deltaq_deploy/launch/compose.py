@@ -4,8 +4,6 @@
 first what a cell with `clients_need_tokens` has in it.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from pathlib import Path

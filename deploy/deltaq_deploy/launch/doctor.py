@@ -1,7 +1,5 @@
 """The checks of `deltaq doctor`: whether this machine is fit to run a cell."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import platform

@@ -4,8 +4,6 @@ A console gets a new one if its role would otherwise be open to every user of th
 runtime folder for as long as the launch lasts. Two launches cannot have the same console, since only one gets its port.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import secrets

@@ -1,7 +1,5 @@
 """Starts the services of a cell on this machine, watches them, and leaves nothing running."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

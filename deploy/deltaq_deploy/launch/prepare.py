@@ -5,8 +5,6 @@ of one. Beside a running cell that is time in which services share their cores w
 the controller is not there. So all of it comes first, side by side.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Health checks of single services, by the kind of probe in the table of services."""
 
-from __future__ import annotations
-
 import socket
 import time
 from dataclasses import dataclass

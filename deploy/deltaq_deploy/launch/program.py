@@ -1,7 +1,5 @@
 """How a program ends: without a traceback for a user's mistake, for Ctrl-C, or for a reader that has left."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Callable

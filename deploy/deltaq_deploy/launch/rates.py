@@ -1,7 +1,5 @@
 """How regularly messages come: arithmetic on arrival times, and an observer of a running cell."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import threading

@@ -3,8 +3,6 @@
 `deltaq up`, `deltaq demo`, `deltaq status --service`, `compose.yaml` and the documentation all follow from this table.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum

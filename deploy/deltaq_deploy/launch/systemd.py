@@ -3,8 +3,6 @@
 `make docs` writes those of the emulated lab cell to `deploy/systemd` with it.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterable, Sequence
 from pathlib import Path

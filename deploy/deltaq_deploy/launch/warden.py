@@ -8,8 +8,6 @@ The warden also holds the reading ends of their output: a Robot Server whose out
 is killed with the launcher, the lifelines of the services break, which ends them as SIGTERM does; see `Lifeline`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import select

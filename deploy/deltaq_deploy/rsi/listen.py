@@ -1,7 +1,5 @@
 """The socket and the clock under `deltaq krc`: one blocking loop that owns both and decides nothing."""
 
-from __future__ import annotations
-
 import socket
 import time
 from collections.abc import Callable

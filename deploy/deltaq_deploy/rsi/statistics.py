@@ -1,7 +1,5 @@
 """Statistics of a KRC's telegrams, from times and datagrams alone."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter, deque
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ and no check. So the chain shows what zenoh and Python cost, and what a cell add
 `python -m deltaq_experiments.bench.bare_chain PROCESS FOLDER CYCLE_S` is one process of it.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

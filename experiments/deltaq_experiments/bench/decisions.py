@@ -1,7 +1,5 @@
 """Decisions of the gate beside raw distance calls over the same pairs: in free tracking, and near obstacles."""
 
-from __future__ import annotations
-
 import gc
 import gzip
 import time

@@ -5,8 +5,6 @@ function returns is sent [rad or m]. A class is taken, too: `NAME(scene)` makes 
 method `start(q)`, if it has one, is called where the arm is put to `q`.
 """
 
-from __future__ import annotations
-
 import inspect
 import time
 from collections.abc import Callable, Iterator, Mapping

@@ -5,8 +5,6 @@ decision on it. The gate does one thing after the other, so an admission that go
 before the next one belongs to it; the cycle whose setpoint it goes into joins its stamps. Any stamp may be missing.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_left
 from collections.abc import Iterable
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """A cell at work, measured from outside and from the stamps of its processes: `deltaq bench --live`."""
 
-from __future__ import annotations
-
 import sys
 import tempfile
 import time

@@ -4,8 +4,6 @@ The Robot Server is a process as `deltaq up` starts it. It gets a heartbeat and 
 the gate; since its robot is not ready, it decodes the admission and refuses it.
 """
 
-from __future__ import annotations
-
 import os
 import struct
 import subprocess

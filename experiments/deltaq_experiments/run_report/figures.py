@@ -1,7 +1,5 @@
 """The figures of a run as `deltaq recording report --json` prints them."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 from typing import Any
 

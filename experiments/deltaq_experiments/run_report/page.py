@@ -1,7 +1,5 @@
 """A run as one self-contained HTML page: no address outside it, no script, every text escaped."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 from html import escape

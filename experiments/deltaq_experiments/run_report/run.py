@@ -1,7 +1,5 @@
 """Figures of a recording: motion and verdicts of each robot, and events."""
 
-from __future__ import annotations
-
 import hashlib
 from array import array
 from collections import Counter

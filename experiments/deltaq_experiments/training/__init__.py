@@ -3,8 +3,6 @@
 Importing this registers it: `gymnasium.make("deltaq_experiments.training:deltaq/CameraFollower-v0")`.
 """
 
-from __future__ import annotations
-
 from deltaq_protocol.errors import DeltaqError
 
 try:

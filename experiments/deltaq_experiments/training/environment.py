@@ -1,7 +1,5 @@
 """The environment: each step is one cycle of the whole stack, the gate in the loop."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from pathlib import Path

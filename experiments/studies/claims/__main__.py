@@ -1,7 +1,5 @@
 """Run every claim over some seeds and write the pages: `python -m studies.claims --seeds 10`."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from dataclasses import replace

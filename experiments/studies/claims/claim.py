@@ -1,7 +1,5 @@
 """A claim about an experiment, and what came of it over some seeds."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The page of claims: a table with a row for each, and the pictures of the first seed."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The claims: the paper's, and stricter ones of the controllers here."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Let a robot suffer fault after fault over real processes, zenoh and UDP: `python -m studies.live_faults`."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 

@@ -4,8 +4,6 @@ A small C library (`clocks.c`), compiled when it is needed, is preloaded into th
 their clocks, and subtracts it from deadlines that go to the kernel.
 """
 
-from __future__ import annotations
-
 import mmap
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Injects every fault of the catalogue that real processes can suffer, those of relays, clocks and disks too."""
 
-from __future__ import annotations
-
 import json
 import resource
 import signal

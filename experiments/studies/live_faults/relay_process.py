@@ -1,7 +1,5 @@
 """A relay in a separate process, controlled over a pipe."""
 
-from __future__ import annotations
-
 import asyncio
 import multiprocessing
 import signal

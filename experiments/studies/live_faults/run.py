@@ -1,7 +1,5 @@
 """Faults over real processes, zenoh and UDP, read from the emulated controllers' own records."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress

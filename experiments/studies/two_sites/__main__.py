@@ -5,8 +5,6 @@ delays and loses packets; with `--virtual` the same in virtual time. The figures
 `deltaq experiment tracking`, on the robots' own time stamps: what the controllers see late is not late in them.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import signal

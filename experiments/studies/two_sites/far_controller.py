@@ -3,8 +3,6 @@
 `studies.two_sites` does the same over real processes and the kernel's own TCP.
 """
 
-from __future__ import annotations
-
 import heapq
 import random
 from collections import deque

@@ -1,7 +1,5 @@
 """Leader and camera follower far away, in virtual time and through the cores of the services."""
 
-from __future__ import annotations
-
 import argparse
 import tempfile
 from collections.abc import Callable, Sequence

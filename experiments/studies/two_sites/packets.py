@@ -4,8 +4,6 @@ What it carries are whole IP packets, so TCP notices loss and does about it what
 `netem` does the same where it is built in; this needs a TUN device and the right to make one.
 """
 
-from __future__ import annotations
-
 import asyncio
 import ctypes
 import fcntl

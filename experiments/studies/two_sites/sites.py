@@ -4,8 +4,6 @@ controller ── a wide-area network ── office ── a network that can be
               packets late and lost    HLI                                   SIM, Robot Servers, emulators
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

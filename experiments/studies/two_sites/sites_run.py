@@ -1,7 +1,5 @@
 """Both halves of a cell on two sites, and controllers far away, as people start them: `deltaq up` at each site."""
 
-from __future__ import annotations
-
 import json
 import os
 import secrets

@@ -1,7 +1,5 @@
 """Certificates of a cell (X.509, ECDSA with P-256): read, and believed only from their authority, in their time."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime, timedelta
 
 from cryptography import x509

@@ -1,7 +1,5 @@
 """Certificates of a session over TLS, as zenoh's configuration has them."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What an identity is, by its name: a service's own, `operator-NAME` or `controller-NAME`."""
 
-from __future__ import annotations
-
 import re
 from enum import StrEnum
 

@@ -4,8 +4,6 @@ All joint quantities are in the joint order of the robot's description, rad for 
 prismatic joints. `q` is a configuration, `dq` an increment over one cycle, never a velocity.
 """
 
-from __future__ import annotations
-
 from deltaq_protocol.messages.base import (
     LINE_VERSIONS,
     MOST,

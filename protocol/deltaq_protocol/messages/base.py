@@ -1,7 +1,5 @@
 """What all messages share: their base, and the types of their fields."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field

@@ -1,7 +1,5 @@
 """Messages of motion: increments, verdicts, states."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 from typing import Annotated, Literal
 

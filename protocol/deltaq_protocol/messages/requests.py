@@ -1,7 +1,5 @@
 """Requests of clients and their answers: description of the cell, leases, outputs, stop and reset, status."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 from typing import Annotated, Literal
 

@@ -4,8 +4,6 @@ The controller and this project load the very same file, so the two cannot disag
 description of the ETHERNET object (elements CONFIG, SEND and RECEIVE; attributes TAG, TYPE, INDX, HOLDON).
 """
 
-from __future__ import annotations
-
 import re
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass

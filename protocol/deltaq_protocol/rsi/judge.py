@@ -4,8 +4,6 @@ An error could move a robot without a command, or prevent a stop; a warning coul
 Pure: texts and descriptions in, findings out.
 """
 
-from __future__ import annotations
-
 import ipaddress
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """The controller's end of RSI: writes telegrams byte by byte as a KRC does, reads the replies."""
 
-from __future__ import annotations
-
 import math
 import re
 import xml.etree.ElementTree as ET

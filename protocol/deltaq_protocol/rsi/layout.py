@@ -1,7 +1,5 @@
 """The order of a telegram's fields, as both ends compile it from the configuration."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import dataclass
 

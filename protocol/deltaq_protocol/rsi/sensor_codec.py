@@ -4,8 +4,6 @@ A telegram has to be answered within a cycle of 4 or 12 ms, so one regular expre
 are compiled beforehand; building XML documents in the loop is four to six times slower.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from operator import itemgetter

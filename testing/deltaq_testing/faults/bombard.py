@@ -1,7 +1,5 @@
 """A second sender that sends foreign datagrams to a Robot Server beside its KRC, as a thread of its own."""
 
-from __future__ import annotations
-
 import socket
 import struct
 import threading

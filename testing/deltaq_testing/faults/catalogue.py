@@ -5,8 +5,6 @@ dies or freezes does so live, too. A live wire between processes is impaired by 
 cores are in virtual time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum

@@ -1,7 +1,5 @@
 """A controller in virtual time: a function that returns increments, and its misbehaviour under faults."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, Protocol, runtime_checkable

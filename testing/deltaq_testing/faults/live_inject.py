@@ -1,7 +1,5 @@
 """Injects faults into the processes of a live cell, and ends them."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

@@ -4,8 +4,6 @@ It only ever asks for its cruising speed; how fast that may be reached is the ga
 JSON lines: `python -m deltaq_testing.faults.mover PORT ROBOT HOME_RAD`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import socket

@@ -1,7 +1,5 @@
 """The effect of a fault, from the emulated controller's own record of setpoints."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 

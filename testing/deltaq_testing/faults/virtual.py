@@ -1,7 +1,5 @@
 """Faults in virtual time: move, inject, watch, lift, bring back, judge; and the table of their effects."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """The relay for a link, chosen by the link's protocol."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable, Mapping
 from contextlib import AbstractAsyncContextManager

@@ -4,8 +4,6 @@ A stream such as TCP keeps every byte and their order, so it can only be late, s
 messages can be lost, duplicated or overtaken: see `deltaq_emulator.faults`.
 """
 
-from __future__ import annotations
-
 import random
 from collections import deque
 from typing import Annotated

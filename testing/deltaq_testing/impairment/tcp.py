@@ -1,7 +1,5 @@
 """A relay that impairs TCP connections and those of Unix sockets."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 from collections.abc import Callable

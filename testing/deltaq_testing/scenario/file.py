@@ -1,7 +1,5 @@
 """Reads scenario files, with errors that name file, line, field, value and bound; and writes them."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

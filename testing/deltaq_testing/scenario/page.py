@@ -1,7 +1,5 @@
 """Reports of scenarios: HTML pages, and JUnit XML."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Sequence
 from html import escape

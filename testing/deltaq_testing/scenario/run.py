@@ -1,7 +1,5 @@
 """Runs scenarios, and checks their expectations."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 import time

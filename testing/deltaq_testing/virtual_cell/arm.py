@@ -3,8 +3,6 @@
 A robot without a KRC is where it was sent, and its Robot Server keeps the time itself.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from deltaq_emulator.faults import FaultyLink

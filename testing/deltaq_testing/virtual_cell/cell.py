@@ -6,8 +6,6 @@ a fraction of a cycle, as over UDP. Processes can die, freeze and restart; any w
 loses, delays, duplicates and reorders. All other wires are perfect: a message arrives at once.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import partial

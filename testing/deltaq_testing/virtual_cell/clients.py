@@ -1,7 +1,5 @@
 """Clients of the HLI in virtual time: any number of connections, each with wires of its own."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import Protocol

@@ -1,7 +1,5 @@
 """The parts of a cell in virtual time: processes that can die, freeze and restart, and the links between them."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable
 from enum import Enum, StrEnum

@@ -1,7 +1,5 @@
 """What a demonstration tells: the admission rate between two statuses of a robot, and four lines in words."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

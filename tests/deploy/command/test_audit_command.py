@@ -1,7 +1,5 @@
 """`deltaq up --audit`, and `deltaq audit` that shows what was written."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """The demonstration as `make demo` runs it: real processes, no terminal."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """`deltaq fault impair`: options that belong together, and a wire that is cut for a while."""
 
-from __future__ import annotations
-
 import os
 import re
 import select

@@ -1,7 +1,5 @@
 """Ctrl-C while a command still loads its modules: no traceback, and the status that shells give to Ctrl-C."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`deltaq krc` and the emulated controller as processes, over UDP on ports of their own."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

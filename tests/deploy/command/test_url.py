@@ -1,7 +1,5 @@
 """Verbs that look at a running cell or command it, told its address and nothing else."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 

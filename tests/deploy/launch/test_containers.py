@@ -1,7 +1,5 @@
 """The stack in containers on a real engine; `make container-test` builds the image first."""
 
-from __future__ import annotations
-
 import subprocess
 import time
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A launch with tokens: its console has one of its own, and its controllers show theirs."""
 
-from __future__ import annotations
-
 import json
 import os
 import stat

@@ -1,7 +1,5 @@
 """A stop over the lines, when no session can be had."""
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import subprocess

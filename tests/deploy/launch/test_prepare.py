@@ -1,7 +1,5 @@
 """Controllers are compiled before anything runs, once, and wherever there is room for it."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

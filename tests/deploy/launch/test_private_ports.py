@@ -1,7 +1,5 @@
 """The folder in which processes claim ports: nobody else's, and no way to files elsewhere."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 from collections.abc import Iterator

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 from deltaq_deploy.launch.rates import percentile, rate_of

@@ -1,7 +1,5 @@
 """The doctor on real-time priority: what was asked, what was given, and the remedy."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

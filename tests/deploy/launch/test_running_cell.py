@@ -1,7 +1,5 @@
 """The command against a cell that `deltaq up` runs: real processes, real zenoh, real UDP."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

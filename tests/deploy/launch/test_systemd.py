@@ -1,7 +1,5 @@
 """The units, as systemd itself reads them, and the order in which it starts and stops a cell by them."""
 
-from __future__ import annotations
-
 import shutil
 import sys
 from pathlib import Path

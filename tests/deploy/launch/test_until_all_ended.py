@@ -1,7 +1,5 @@
 """The first process of a Robot Server's container: what it leaves behind, and when it ends."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """`deltaq up --real` refuses addresses that cannot be meant, before it listens for any robot."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -6,8 +6,6 @@ between them. No pair may come nearer than it was, or than the stop distance if 
 another robot that is still braking.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections import Counter

@@ -4,8 +4,6 @@ Each is constructed from a seed without asking the gate: a robot is drawn somewh
 joint space until an oracle measures the distance that was drawn.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,8 +3,6 @@
 Exit status: 0 every property holds within the bounds, 1 a counterexample was found.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

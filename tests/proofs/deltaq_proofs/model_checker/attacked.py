@@ -5,8 +5,6 @@ likes, or somebody who from now on passes for a KRC. It costs one of a small num
 in `System`: nothing, the fastest increment, a stop or a reset.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial

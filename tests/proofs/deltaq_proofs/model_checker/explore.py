@@ -1,7 +1,5 @@
 """Breadth-first search of everything that can happen, so that a violation is found by a shortest path."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass

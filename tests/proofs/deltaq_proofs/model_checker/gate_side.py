@@ -4,8 +4,6 @@ The gate is the SIM's own code. Each wire may lose, keep back, double and reorde
 requests and commands.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial

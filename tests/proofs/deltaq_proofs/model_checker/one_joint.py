@@ -4,8 +4,6 @@ Time-outs are a few cycles long instead of dozens. They count cycles, so shorter
 in fewer steps.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Systems that are broken on purpose: the explorer must find each of them out, or it shows nothing."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import dataclass, replace
 

@@ -4,8 +4,6 @@ Robot Server and SIM are the services' own code. The KRC is a clock that may mis
 pushed off its path, and its wire is benign; `attacked` has one that is not. Both programs may crash and start anew.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial

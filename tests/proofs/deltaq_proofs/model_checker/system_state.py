@@ -1,7 +1,5 @@
 """One moment of the composed system: both programs, what is in flight between them, and what is owed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum

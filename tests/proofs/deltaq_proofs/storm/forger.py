@@ -1,7 +1,5 @@
 """What an attacker on RSI's wire sends: made from the true telegrams that it overhears, or from nothing."""
 
-from __future__ import annotations
-
 import random
 import re
 import threading

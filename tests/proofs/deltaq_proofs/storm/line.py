@@ -3,8 +3,6 @@
 It does so in a thread of its own, while others start the services, look at them and bring the robot back to its work.
 """
 
-from __future__ import annotations
-
 import select
 import socket
 import struct

@@ -1,7 +1,5 @@
 """Who brings the robot back to its work whenever an attack has stopped it, as somebody at the cell would."""
 
-from __future__ import annotations
-
 from deltaq_cell.description import CellDescription
 from deltaq_deploy.launch.cell_connection import connect
 from deltaq_emulator.states import KrcState

@@ -1,7 +1,5 @@
 """A whole storm: the cell's processes are started, attacked while the robot moves, and what was sent is judged."""
 
-from __future__ import annotations
-
 import tempfile
 import time
 from collections.abc import Callable

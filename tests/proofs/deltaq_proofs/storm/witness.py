@@ -5,8 +5,6 @@ nothing. An admission that was lost on its way to the witness explains no more t
 counted apart.
 """
 
-from __future__ import annotations
-
 from collections import Counter, OrderedDict, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
