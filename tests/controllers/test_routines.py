@@ -29,9 +29,10 @@ from deltaq_controllers.routines.run import (
     RunEnd,
     SeenCycle,
     SwitchRequest,
+    sight_of_equipment,
 )
 from deltaq_controllers.routines.shell import record_file, runs_of, unfinished
-from deltaq_protocol.messages import Sight
+from deltaq_protocol.messages import Sight, ViewTarget
 
 LAB = CellModel.load("lab")
 GR = LAB.robots["gr"]
@@ -186,7 +187,7 @@ def test_requests_are_made_one_after_the_other_and_each_outcome_is_told(tmp_path
 
 def test_a_time_limit_ends_the_run_with_its_step_and_a_pause_does_not_count(tmp_path: Path) -> None:
     bench = Bench(written(tmp_path, "  - {wait_for: {sight: fresh}, within_s: 1}"))
-    bench.seen = {"sight": Sight.HIDDEN, "looks_at_equipment": True}
+    bench.seen = {"sight": Sight.HIDDEN}
     bench.go(40)
     bench.run.pause()
     bench.go(400)
@@ -197,6 +198,18 @@ def test_a_time_limit_ends_the_run_with_its_step_and_a_pause_does_not_count(tmp_
     assert bench.run.why == (
         "step 1 of 1, wait_for sight fresh: took longer than its limit, 1 s (the camera's sight is view_hidden)"
     )
+
+
+def test_equipment_counts_as_seen_from_another_distance_while_it_is_in_the_picture() -> None:
+    fr, missed = LAB.robots["fr"], Sight.OUT_OF_REACH
+    T_world_camera = fr.camera_pose(fr.home)
+    for angle_deg, seen in ((20.0, Sight.FRESH), (25.0, missed)):
+        aside = 3.0 * math.tan(math.radians(angle_deg))
+        x, y, z, _ = (T_world_camera @ (0.0, aside, 3.0, 1.0)).tolist()
+        target = ViewTarget(focus_m=(x, y, z))
+        assert sight_of_equipment(fr, fr.home, missed, target) is seen
+        assert sight_of_equipment(fr, fr.home, Sight.HIDDEN, target) is Sight.HIDDEN
+    assert sight_of_equipment(fr, fr.home, Sight.FRESH, ViewTarget(leader="gr")) is None
 
 
 def test_a_request_that_is_refused_fails_its_step(tmp_path: Path) -> None:

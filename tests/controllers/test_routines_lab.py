@@ -24,7 +24,7 @@ ROUTINES = {
     "look_at tool_stand_1": {},
     "park": {},
 }
-STARTS = 20
+STARTS, FOLLOWED = 20, 3
 CAMERA = ("read_gauge", "look_at")
 """Routines that wait for what the camera sees."""
 ROOM_M = 0.02
@@ -75,13 +75,16 @@ def test_a_routine_succeeds_from_19_of_20_random_starts(name: str) -> None:
 
 @pytest.mark.nightly
 @pytest.mark.timeout(7200)
-def test_the_camera_that_follows_seldom_loses_its_target_in_most_routines() -> None:
-    shares = {}
-    for name in ROUTINES:
-        run, record = done(name, None, follows=True)
-        assert run.end is RunEnd.DONE
-        shares[name] = record.hidden / record.looked
-        print(f"\n{name}: hidden {shares[name]:.1%} of the time, by {dict(record.hidden_by)}")
-    # the leader's own arm hides valve_1 and point_2 from where the lab's follower can be, the separator the tool stand
-    assert sum(share <= 0.05 for share in shares.values()) >= 6
-    assert max(shares.values()) < 0.5
+@pytest.mark.parametrize("name", ROUTINES)
+def test_the_camera_that_follows_seldom_loses_its_target(name: str) -> None:
+    hidden = looked = 0
+    # park watches the tool, which may be hidden at a random start
+    for start in [None, *starts(0 if name == "park" else FOLLOWED, seed=7)]:
+        run, record = done(name, start, follows=True)
+        assert (run.end, run.why) == (RunEnd.DONE, "")
+        hidden, looked = hidden + record.hidden, looked + record.looked
+        print(
+            f"\n{name}: hidden {record.hidden / record.looked:.1%} of {record.seconds:.0f} s",
+            dict(record.hidden_by),
+        )
+    assert hidden / looked <= 0.05

@@ -15,7 +15,7 @@ from deltaq_controllers.camera.in_use import CameraInUse
 from deltaq_controllers.camera.outlook import Outlook
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import RobotView, View
-from deltaq_controllers.routines.planner import PlanRequest, RoutinePlanner, view_asked
+from deltaq_controllers.routines.planner import PlanRequest, RoutinePlanner
 from deltaq_controllers.routines.routine import Job, RoutineError
 from deltaq_controllers.routines.run import (
     AllowRequest,
@@ -24,6 +24,7 @@ from deltaq_controllers.routines.run import (
     RoutineRun,
     SeenCycle,
     SwitchRequest,
+    sight_of_equipment,
 )
 from deltaq_protocol import messages
 from deltaq_protocol.arrays import Array
@@ -121,8 +122,7 @@ class VirtualRoutine:
                 _view(views, job.robot),
                 before == own.q_cmd,
                 str(own.reason) if own.phase is Phase.HELD else "",
-                None if self.camera is None else self.camera.sight,
-                self.camera is not None and self.camera.target.focus_m is not None,
+                self._sight(states),
             )
             before = own.q_cmd
             out = run.advance(seen)
@@ -147,12 +147,18 @@ class VirtualRoutine:
             self.stack.cycle()
         assert isinstance(answers[0], Done), answers
 
+    def _sight(self, states: Mapping[str, messages.RobotState]) -> messages.Sight | None:
+        if self.camera is None or self.follower is None:
+            return None
+        q = np.array(states[self.follower].q)
+        return sight_of_equipment(self.model.robots[self.follower], q, self.camera.sight, self.camera.target)
+
     def _carried_out(
         self, request: RoutineRequest, planner: RoutinePlanner, job: Job, views: Mapping[str, RobotView]
     ) -> RoutineAnswer:
+        others = {name: view.q_cmd for name, view in views.items() if name != job.robot}
         try:
             if isinstance(request, PlanRequest):
-                others = {name: view.q_cmd for name, view in views.items() if name != job.robot}
                 return planner.plan(request, others)
             if isinstance(request, SwitchRequest):
                 # outputs need a lease's token, which the stepped client keeps to itself
@@ -161,7 +167,7 @@ class VirtualRoutine:
                 self._ask(messages.ContactRequest(contact=request.contact, allowed=request.allowed))
                 (self.contacts.add if request.allowed else self.contacts.discard)(request.contact)
             elif job.camera is not None:
-                wish = view_asked(self.model, job, request.at_equipment)
+                wish = planner.view(request.at_equipment, others)
                 self._ask(messages.ViewRequest(robot=job.camera, **wish.model_dump(exclude_none=True)))
         except RoutineError as error:
             return error

@@ -85,16 +85,6 @@ def points_of(cell: CellModel, item: EquipmentDescription) -> Array:
     return points
 
 
-def view_asked(cell: CellModel, job: Job, at_equipment: bool) -> ViewWish:
-    """What the camera is to look at: the first point of the equipment that it can see, or the working robot's tool."""
-    if not at_equipment or job.item is None:
-        return ViewWish(targets=(ViewTarget(leader=job.robot),))
-    points = points_of(cell, job.item).round(6).tolist()
-    return ViewWish(
-        targets=tuple(ViewTarget(focus_m=(x, y, z)) for x, y, z in points), distance_m=job.item.view_m
-    )
-
-
 class WorkFrame:
     """The geometry of an item of equipment.
 
@@ -128,7 +118,7 @@ class WorkFrame:
 
 
 class ViewShares:
-    """Ranks postures by how well a camera can see the equipment past the robot that works on it.
+    """Ranks postures, and points of the equipment, by how well a camera can see it past the robot that works on it.
 
     The camera is elsewhere when the robot gets there, so the equipment is looked at from `LENSES` places in a cone
     about the camera's present line of sight.
@@ -162,8 +152,17 @@ class ViewShares:
     def share(self, q: Array) -> float:
         """Share of the places from which the equipment is seen with the robot at `q` (n,)."""
         self._lines.place({self._robot: q})
-        seen = sum(self._sees(lens, point) for lens in self._lenses for point in self._points)
-        return seen / (len(self._lenses) * len(self._points))
+        return float(np.mean([self._places(point) for point in self._points])) / len(self._lenses)
+
+    def wish(self) -> ViewWish:
+        """The view to ask for: the first point that the camera can see, those seen from most places first."""
+        points = sorted(self._points.round(6), key=self._places, reverse=True)
+        targets = tuple(ViewTarget(focus_m=(x, y, z)) for x, y, z in np.array(points).tolist())
+        return ViewWish(targets=targets, distance_m=self._distance_m)
+
+    def _places(self, point: Array) -> int:
+        """From how many places a point (3,) is seen."""
+        return sum(self._sees(lens, point) for lens in self._lenses)
 
     def _sees(self, lens: Array, point: Array) -> bool:
         bodies = self._lines.blocked_by(lens, point)
@@ -284,6 +283,13 @@ class RoutinePlanner:
             end = self._robot.home if step.move_to == "home" else np.array(step.move_to)
             path = self._around(request, end, go_on)
         return self._motion(path, step.speed, request.touching)
+
+    def view(self, at_equipment: bool, others: Mapping[str, Array]) -> ViewWish:
+        """What the camera is to look at: the equipment, or the tool of the robot that works; `others` as in `plan`."""
+        if self._views is None or not at_equipment:
+            return ViewWish(targets=(ViewTarget(leader=self._job.robot),))
+        self._views.place(others)
+        return self._views.wish()
 
     def _around(self, request: PlanRequest, end: Array, go_on: Callable[[], bool]) -> Array:
         if np.abs(end - request.q).max() == 0.0:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from deltaq_cell.robot import RobotModel
+from deltaq_controllers.camera.error import view_angle
 from deltaq_controllers.interface import View
 from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.operated.reach import advisor_of
@@ -22,7 +23,7 @@ from deltaq_controllers.routines.planner import PlannedMotion, PlanRequest, line
 from deltaq_controllers.routines.routine import Condition, Job, PlainStep, RoutineError
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.driving import OperatorCommand
-from deltaq_protocol.messages import Sight, Verdict
+from deltaq_protocol.messages import Sight, Verdict, ViewTarget
 
 STUCK_S = 2.0
 """A motion that comes no further for so long is planned anew from where it is [s]."""
@@ -82,15 +83,30 @@ class SeenCycle:
         view: states of the robots; `time_s` of the own one is the only clock.
         is_still: whether the setpoint rests, and nothing that was sent will move it.
         held: why the robot is held; empty if it is not.
-        sight: how well the camera sees what it looks at; None without a follower.
-        looks_at_equipment: whether that is the equipment.
+        sight: how well the camera sees the equipment; None if it looks at something else, or nobody follows.
     """
 
     view: View
     is_still: bool
     held: str = ""
     sight: Sight | None = None
-    looks_at_equipment: bool = False
+
+
+def sight_of_equipment(
+    camera: RobotModel, q: Array, sight: Sight | None, target: ViewTarget | None
+) -> Sight | None:
+    """How well a camera sees the equipment, with its robot at `q` (n,); None if its target is not the equipment.
+
+    It counts as seen also from another distance than the one asked for, as long as it is in the picture.
+    """
+    if target is None or target.focus_m is None:
+        return None
+    if sight is Sight.OUT_OF_REACH:
+        T_world_camera, described = camera.camera_pose(q), camera.description.camera
+        angle_rad = view_angle(T_world_camera[:3, :3], T_world_camera[:3, 3], np.array(target.focus_m))
+        if described is not None and angle_rad < np.deg2rad(0.5 * described.vertical_view_deg):
+            return Sight.FRESH
+    return sight
 
 
 @dataclass(frozen=True)
@@ -412,7 +428,7 @@ class RoutineRun:
         """Whether a condition has held for as long as it says."""
         holds = all(self._inputs.get(name) is is_on for name, is_on in condition.inputs.items())
         if condition.sight is not None:
-            self._at.sight = seen.sight if seen.looks_at_equipment else None
+            self._at.sight = seen.sight
             holds = holds and self._at.sight is condition.sight
         if condition.drive_lag is not None:
             holds = holds and self._lag(seen.view.own.q) >= condition.drive_lag

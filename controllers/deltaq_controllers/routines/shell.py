@@ -23,7 +23,6 @@ from deltaq_controllers.routines.planner import (
     PlanRequest,
     RoutinePlanner,
     lines_after,
-    view_asked,
 )
 from deltaq_controllers.routines.routine import Job, RoutineError, job_for
 from deltaq_controllers.routines.run import (
@@ -35,6 +34,7 @@ from deltaq_controllers.routines.run import (
     SeenCycle,
     StepOutcome,
     SwitchRequest,
+    sight_of_equipment,
 )
 from deltaq_protocol.client import Cell
 from deltaq_protocol.driving import RoutineProgress
@@ -197,15 +197,11 @@ class LiveRoutine:
         held = ""
         if state.phase is Phase.HELD:
             held = "held" if state.reason is None else f"{state.reason.value}: {EXPLANATIONS[state.reason]}"
-        looking = None if self.job.camera is None else self._cell.state(self.job.camera)
-        target = None if looking is None else looking.target
-        return SeenCycle(
-            view,
-            rests,
-            held,
-            None if looking is None else looking.sight,
-            target is not None and target.focus_m is not None,
-        )
+        sight, camera = None, self.job.camera
+        if camera is not None and (looking := self._cell.state(camera)) is not None:
+            q = np.array(looking.q)
+            sight = sight_of_equipment(self._model.robots[camera], q, looking.sight, looking.target)
+        return SeenCycle(view, rests, held, sight)
 
     async def _carried_out(self, leased: LeasedRobot, request: RoutineRequest) -> RoutineAnswer:
         try:
@@ -219,7 +215,7 @@ class LiveRoutine:
                 await self._cell.allow_contact(request.contact, request.allowed)
                 self._allowed = request.contact if request.allowed else ""
             elif self.job.camera is not None:
-                wish = view_asked(self._model, self.job, request.at_equipment)
+                wish = self._planner.view(request.at_equipment, self._others())
                 await self._cell.view(self.job.camera, wish.distance_m, targets=wish.targets)
         except RoutineError as error:
             return error
