@@ -31,6 +31,7 @@ class AuditKind(StrEnum):
     CONTACT = "contact"
     DRY_RUN = "dry_run"
     VIEW = "view"
+    NOTE = "note"
     INCREMENT = "increment"
     MESSAGE = "message"
 

@@ -11,6 +11,7 @@ from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 import zenoh
 
 from deltaq_protocol import topics
+from deltaq_protocol.audit import LONGEST_TEXT
 from deltaq_protocol.codec import pack, unpack
 from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
 from deltaq_protocol.held_lease import HeldLease
@@ -332,14 +333,15 @@ class LeasedRobot:
             renew()
         return [verdict for verdict in come if not _is_about_lease(verdict)]
 
-    async def io(self, outputs: Mapping[str, bool] | None = None) -> IoReply:
-        """Set digital outputs by name, and read all outputs and inputs.
+    async def io(self, outputs: Mapping[str, bool] | None = None, note: str = "") -> IoReply:
+        """Set digital outputs by name, and read all outputs and inputs; `note` is for the audit log and recordings.
 
         Raises:
             RefusedError: the robot has no such output, or the lease was lost.
             ServiceUnreachableError: no answer in time.
         """
-        request, prove = IoRequest(robot=self.name, outputs=dict(outputs or {})), self.lease.prover.prove_next
+        request = IoRequest(robot=self.name, outputs=dict(outputs or {}), note=note[:LONGEST_TEXT])
+        prove = self.lease.prover.prove_next
         return unpack(IoReply, await self._wire.ask(topics.IO, self._cell, request, self.name, prove=prove))
 
     def take_verdict(self, verdict: Verdict) -> None:

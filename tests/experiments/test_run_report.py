@@ -17,6 +17,7 @@ from deltaq_experiments.run_report.figures import figures
 from deltaq_experiments.run_report.page import ReportError, page, write
 from deltaq_experiments.run_report.run import EmptyRecordingError, RunEvent, RunEventKind, read_run
 from deltaq_protocol import topics
+from deltaq_protocol.audit import AuditEntry, AuditKind, AuditOutcome
 from deltaq_protocol.guarded import Command, CommandReply, Plan, ServerState
 from deltaq_protocol.messages import (
     NearestPair,
@@ -34,7 +35,15 @@ from deltaq_testing.report_page import outline
 
 CYCLE_NS = 12_000_000
 CYCLES = 200
-STOP, RESET, GONE = 100, 150, 170
+NOTED, STOP, RESET, GONE = 10, 100, 150, 170
+NOTE = AuditEntry(
+    time_utc="",
+    time_s=0.0,
+    what=AuditKind.NOTE,
+    outcome=AuditOutcome.DONE,
+    robot="fr",
+    text="turn, step 1 of 9",
+)
 HOSTILE = "</td><script>alert(1)</script>&\"'"
 
 
@@ -79,6 +88,8 @@ def record(path: Path, cell: CellModel, what: str = "fr/link_4 structure/pipe_5"
                 reasons=(Reason(code=ReasonCode.CLEARANCE, what=what),) if bound else (), clearance_m=0.2,
             )  # fmt: skip
             writer.publish(topics.VERDICT, verdict, at)
+            if cycle == NOTED:
+                writer.publish(topics.AUDIT, NOTE, at)
             if cycle == STOP:
                 writer.publish(topics.COMMAND, Command(id=1, kind="stop"), at)
                 writer.publish(topics.COMMAND_REPLY, CommandReply(id=1, accepted=True), at)
@@ -234,13 +245,14 @@ def test_figures_agree_with_the_recorded_run(recorded: Path, cell: CellModel) ->
 def test_events_are_reported_in_the_order_of_time(recorded: Path) -> None:
     events = read_run(recorded).events
     assert [(event.kind, event.robot, event.text) for event in events] == [
+        (RunEventKind.NOTE, "fr", NOTE.text),
         (RunEventKind.FAULT, "fr", "krc_silent"),
         (RunEventKind.HOLD, "fr", "held: operator_stop"),
         (RunEventKind.STOP, "", "stop: operator_stop"),
         (RunEventKind.RESET, "fr", "no longer held: engaged"),
         (RunEventKind.GAP, "fr", "no states for 0.25 s"),
     ]
-    assert events[0].time_s == pytest.approx(31 * 0.012)
+    assert events[1].time_s == pytest.approx(31 * 0.012)
 
 
 @pytest.mark.long

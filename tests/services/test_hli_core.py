@@ -10,6 +10,7 @@ import pytest
 from small_cell import server_state, small_cell, told, tool_pose
 
 from deltaq_protocol import topics
+from deltaq_protocol.audit import AuditKind
 from deltaq_protocol.codec import InvalidMessageError, from_map, to_line
 from deltaq_protocol.guarded import Command, CommandReply, Health, Request
 from deltaq_protocol.messages import (
@@ -37,7 +38,7 @@ from deltaq_protocol.messages import (
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.topic import Realm
 from deltaq_services.hli.client_roles import ClientRoles
-from deltaq_services.hli.commands import MOST_AWAIT_A_STOP
+from deltaq_services.hli.commands import MOST_AWAIT_A_STOP, Deed
 from deltaq_services.hli.core import HliCore
 from deltaq_services.hli.state import MOST_COMMANDS_S
 from deltaq_services.outputs import Output, Sender, ToSender, ToTopic, published
@@ -58,9 +59,8 @@ class Bench:
     def __init__(self, operator_token: str | None = None) -> None:
         cell = small_cell()
         tokens = (f"token-{k}" for k in itertools.count())
-        self.core = HliCore(
-            cell, told(cell), tool_pose, lambda: next(tokens), 1000, ClientRoles(operator_token)
-        )
+        roles, self.deeds = ClientRoles(operator_token), list[Deed]()
+        self.core = HliCore(cell, told(cell), tool_pose, lambda: next(tokens), 1000, roles, self.deeds.append)
         self.now = 50.0
         self.client = Client()
         self.token: str | None = None
@@ -529,6 +529,18 @@ def test_only_the_holder_sets_outputs_of_a_leased_robot_and_any_client_reads_the
     assert (command.kind, command.robot, command.outputs) == ("io", "gr", {"gripper": True})
     reply = only(IoReply, bench.core.on_command_reply(CommandReply(id=command.id, accepted=True)))
     assert reply.outputs == {"gripper": True}
+
+
+def test_the_audit_log_keeps_notes_of_the_holder_alone() -> None:
+    bench = Bench()
+    bench.state(100, "gr")
+    bench.lease(robot="gr", client="routine")
+    io(bench, note="a stranger's")
+    assert only(IoReply, io(bench, note="step 1: done", lease=bench.token))
+    notes = [
+        (deed.robot, deed.origin.client, deed.text) for deed in bench.deeds if deed.what is AuditKind.NOTE
+    ]
+    assert notes == [("gr", "routine", "step 1: done")]
 
 
 # --- looking on -------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from ran import ran
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_protocol import topics
+from deltaq_protocol.audit import AuditEntry, AuditKind, AuditOutcome
 from deltaq_protocol.messages import (
     NearestPair,
     Outcome,
@@ -37,6 +38,14 @@ from deltaq_services.recorder.writer import RecordingWriter
 CYCLE_S = 0.012
 CYCLES = 250
 GAP = range(100, 160)
+NOTE = AuditEntry(
+    time_utc="",
+    time_s=0.0,
+    what=AuditKind.NOTE,
+    outcome=AuditOutcome.DONE,
+    robot="fr",
+    text="turn, step 1 of 9",
+)
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +78,8 @@ def recorded(cell: CellModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
                 robot="fr", cycle=cycle, seq=cycle, outcome=outcome, reasons=reasons, clearance_m=0.1
             )
             writer.publish(topics.VERDICT, verdict, at)
+            if cycle == 100:
+                writer.publish(topics.AUDIT, NOTE, at)
             if cycle % 10 == 0:
                 pair = NearestPair(
                     pair=("fr/link_4", "structure/tank_1"), distance_m=0.3, points_m=((0, 0, 0), (0, 0, 1))
@@ -106,8 +117,10 @@ def test_robots_and_their_silence_are_given_at_even_steps(recorded: Path, cell: 
     assert set(gr["q"]) == {None}
 
 
-def test_repeated_verdicts_are_one_line(recorded: Path, cell: CellModel) -> None:
-    (line,) = replayed(recorded, str(cell.identity))["verdicts"]
+def test_repeated_verdicts_are_one_line_beside_the_notes(recorded: Path, cell: CellModel) -> None:
+    told, line = replayed(recorded, str(cell.identity))["verdicts"]
+    assert (told["robot"], told["outcome"], told["text"]) == ("fr", "note", NOTE.text)
+    assert told["time_s"] == pytest.approx(100 * CYCLE_S)
     assert (line["robot"], line["outcome"], line["code"], line["count"]) == ("fr", "held", "clearance", 50)
     assert line["time_s"] == pytest.approx(200 * CYCLE_S)
     assert line["until_s"] == pytest.approx(249 * CYCLE_S)

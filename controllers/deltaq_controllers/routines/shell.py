@@ -87,6 +87,8 @@ class LiveRoutine:
             )
         self._planner = RoutinePlanner(self._model, self.job)
         self._carrying: asyncio.Task[RoutineAnswer] | None = None
+        self._noting: asyncio.Task[None] | None = None
+        self._noted = 0
         self._others = where_others_are(cell, self.job.robot)
         model = self._model.robots[self.job.robot]
         self.run = RoutineRun(self.job, model, description.gate.servo_lag_s, description.cycle_s, first)
@@ -136,6 +138,19 @@ class LiveRoutine:
                 await answers.send(state, cycle, out)
         for verdict in answers.verdicts():
             self.run.take_verdict(verdict)
+        if self._noted < len(self.run.outcomes) and (self._noting is None or self._noting.done()):
+            self._noting = asyncio.create_task(self._note(leased))
+
+    async def _note(self, leased: LeasedRobot) -> None:
+        """Have the outcomes of steps kept in the audit log and in recordings."""
+        while self._noted < len(self.run.outcomes):
+            outcome, why = self.run.outcomes[self._noted], ""
+            self._noted += 1
+            if outcome.why:
+                why = f": {outcome.why}"
+            text = f"step {outcome.number} of {len(self.job.steps)}, {outcome.text}: {outcome.end}{why}"
+            with suppress(DeltaqError):  # the robot goes on without
+                await leased.io(note=f"{self.job.routine} {self.job.equipment}".strip() + f", {text}")
 
     async def close(self) -> None:
         """Forbid the contact, and record the run; one that has not ended can no longer go on."""
@@ -145,6 +160,8 @@ class LiveRoutine:
         if self._allowed:
             with suppress(DeltaqError):
                 await self._cell.allow_contact(self._allowed, allowed=False)
+        if self._noting is not None:
+            await self._noting
         self._record()
 
     @property

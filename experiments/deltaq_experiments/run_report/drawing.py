@@ -29,6 +29,7 @@ MARKS = {
     RunEventKind.RESET: "^",
     RunEventKind.FAULT: "v",
     RunEventKind.GAP: "D",
+    RunEventKind.NOTE: "o",
 }
 """Of events in the timeline, each a shape of its own."""
 

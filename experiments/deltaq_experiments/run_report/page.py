@@ -23,6 +23,7 @@ _SIGNS = {
     RunEventKind.RESET: "▲",
     RunEventKind.FAULT: "▼",
     RunEventKind.GAP: "◆",
+    RunEventKind.NOTE: "●",
 }
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from deltaq_cell.cell_model import CellModel
 from deltaq_protocol import topics
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.audit import AuditEntry, AuditKind
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.guarded import Command, CommandReply, GateMemory, ServerState
 from deltaq_protocol.messages import (
@@ -191,6 +192,7 @@ READ = (
     topics.COMMAND,
     topics.COMMAND_REPLY,
     topics.GATE_MEMORY,
+    topics.AUDIT,
 )
 _SILENT_CYCLES = 10
 """States that fail to come for so many cycles are an event."""
@@ -210,6 +212,7 @@ class RunEventKind(StrEnum):
     RESET = "reset"
     FAULT = "fault"
     GAP = "gap"
+    NOTE = "note"
 
 
 @dataclass
@@ -335,6 +338,8 @@ class _Reader:
                 self._commands[command.id] = command
             case CommandReply() as reply:
                 self._replied(reply, time_s)
+            case AuditEntry(what=AuditKind.NOTE) as entry:
+                run.events.append(RunEvent(time_s, RunEventKind.NOTE, entry.robot or "", entry.text))
             case GateMemory(fingerprint=fingerprint):
                 self._gate(fingerprint)
 

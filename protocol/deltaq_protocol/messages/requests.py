@@ -242,12 +242,13 @@ class IoRequest(Message):
     """Set digital outputs by name; the reply has all outputs and inputs.
 
     While a robot is leased only the holder sets its outputs; anybody may read. `lease` is never sent, as in
-    `Increment`.
+    `Increment`. The holder's `note` says what it does; the audit log and recordings keep it.
     """
 
     type: Literal["io"] = "io"
     robot: Name
     outputs: dict[str, bool] = Field(default_factory=dict, max_length=64)
+    note: Annotated[str, Field(max_length=300)] = ""
     lease: Secret = None
 
 

@@ -265,6 +265,10 @@ class Requests:
         lease = self._state.leases.of(robot)
         if lease is not None and lease.token == request.lease:
             self._state.leases.renew(lease, time_s)
+            if request.note:
+                self._state.tell(
+                    Deed(AuditKind.NOTE, AuditOutcome.DONE, lease.origin, robot, text=request.note)
+                )
         elif request.outputs and lease is not None:
             text = f"{lease.client} holds the lease of {robot}: only the holder sets its outputs"
             return outputs + self._error(

@@ -1,4 +1,4 @@
-"""A recording for the console: the robots' configurations at even times, and the verdicts other than admitted.
+"""A recording for the console: the robots' configurations at even times, verdicts other than admitted, and notes.
 
 `python -m deltaq_services.recorder.replayed FILE --identity IDENTITY` prints it as one JSON object. Reading takes
 processor time, and so it is a process of its own, behind all others.
@@ -15,6 +15,7 @@ from typing import Any
 
 from deltaq_cell.sight_lines import focus_of
 from deltaq_protocol import topics
+from deltaq_protocol.audit import AuditEntry, AuditKind
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.identity import CellIdentity, mismatch
 from deltaq_protocol.messages import Outcome, Phase, Proximity, RobotState, Verdict
@@ -49,7 +50,7 @@ def replayed(path: Path, identity: str, most_ticks: int = MOST_TICKS) -> dict[st
 
     It has `name`, `source`, `begin_s` (time of day, if recorded live), the step `period_s`, for each of `robots` a list
     a step of `q`, `phase`, `outcome`, `clearance_m` and `focus`, `nearest` (the nearest pair of each step), `verdicts`
-    (those other than admitted), `pictures` (of each live stream time and file) and `notices` of damage.
+    (those other than admitted, and notes), `pictures` (of each live stream time and file) and `notices` of damage.
 
     Args:
         path: the file.
@@ -67,7 +68,7 @@ def replayed(path: Path, identity: str, most_ticks: int = MOST_TICKS) -> dict[st
         raise OtherCellRecordedError(mismatch(path.name, theirs, ours))
     track = _Track(recording.robots, most_ticks)
     begin_ns: int | None = None
-    for item in recording.messages((topics.STATE, topics.VERDICT, topics.PROXIMITY, PICTURE)):
+    for item in recording.messages((topics.STATE, topics.VERDICT, topics.PROXIMITY, topics.AUDIT, PICTURE)):
         begin_ns = item.time_ns if begin_ns is None else begin_ns
         time_s = (item.time_ns - begin_ns) / 1e9
         track.go_on(time_s)
@@ -76,6 +77,8 @@ def replayed(path: Path, identity: str, most_ticks: int = MOST_TICKS) -> dict[st
                 track.states[state.robot] = (time_s, state)
             case Verdict() as verdict:
                 track.take_verdict(verdict, time_s)
+            case AuditEntry(what=AuditKind.NOTE) as note:
+                track.add_line(time_s, robot=note.robot, outcome="note", code=None, what="", text=note.text)
             case PictureReference() as kept:
                 taken_s = round(kept.captured_s - begin_ns / 1e9, 3)
                 track.pictures.setdefault(kept.stream, []).append((taken_s, kept.file))
@@ -152,13 +155,17 @@ class _Track:
             return
         reason = verdict.reasons[0] if verdict.reasons else None
         text = "no reason given" if reason is None else EXPLANATIONS[reason.code]
-        line = {
-            "robot": verdict.robot,
-            "outcome": verdict.outcome.value,
-            "code": reason and reason.code.value,
-            "what": reason.what if reason else "",
-            "text": f"{text} ({reason.what})" if reason and reason.what else text,
-        }
+        self.add_line(
+            time_s,
+            robot=verdict.robot,
+            outcome=verdict.outcome.value,
+            code=reason.code.value if reason else None,
+            what=reason.what if reason else "",
+            text=f"{text} ({reason.what})" if reason and reason.what else text,
+        )
+
+    def add_line(self, time_s: float, **line: str | None) -> None:
+        """Add a line to the list, or count on that which says the same."""
         key = tuple(line.values())
         before = self._last.get(key)
         if before is not None and time_s - before["until_s"] <= SAME_S:

@@ -101,7 +101,7 @@ export class Replay {
 
   /** What binds robot `name` now, as a status of the cell tells it. */
   bound(name) {
-    const line = this.current().map((place) => this.verdicts[place]).findLast(({ robot }) => robot === name);
+    const line = this.current().map((place) => this.verdicts[place]).findLast(({ robot, outcome }) => robot === name && outcome !== "note");
     if (!line) return null;
     const { outcome, code, what, text } = line;
     return {
