@@ -6,7 +6,7 @@ import pytest
 from installed import Installed
 from test_pages import read
 
-from deltaq_deploy.command.app import VERBS
+from deltaq_deploy.command.app import EXAMPLES
 
 NOT_RUN = {
     "deltaq demo --open": "opens a browser; `deltaq demo` below is the same",
@@ -21,9 +21,9 @@ NOT_RUN = {
     "deltaq krc lag --cell lab --robot gr --output gr-lag.png --json": "the same",
 }
 BESIDE_THE_CELL = {
-    "status", "topic echo", "topic hz", "topic", "recording record", "metrics", "audit", "drive", "run",
-    "camera follow", "camera view", "camera show", "camera", "stop", "reset", "lease", "io", "contact", "dry-run",
-    "recording", "fault inject",
+    "status", "topic echo", "topic hz", "recording record", "metrics", "audit", "drive", "run",
+    "camera follow", "camera view", "camera show", "stop", "reset", "lease", "io", "contact", "dry-run",
+    "fault inject",
 }  # fmt: skip
 UNTIL_CTRL_C = {
     "deltaq up": "cell lab is up",
@@ -60,11 +60,12 @@ FILES = {
 def blocks(beside: bool) -> list[str]:
     """The examples of verbs that need a running cell, or of all others, as blocks of a page."""
     made, seen = [], set(NOT_RUN)
-    for verb in (verb for panel in VERBS.values() for verb in panel):
-        if (verb.name in BESIDE_THE_CELL) is not beside:
+    groups = {name.partition(" ")[0] for name in EXAMPLES if " " in name} - {"bench"}
+    for name, examples in EXAMPLES.items():
+        if name in groups or (name in BESIDE_THE_CELL) is not beside:
             continue
-        made += [f"<!-- run: sh -->\n```sh\n{BEFORE[verb.name]}\n```"] if verb.name in BEFORE else []
-        for example in (example for example in verb.examples if example not in seen):
+        made += [f"<!-- run: sh -->\n```sh\n{BEFORE[name]}\n```"] if name in BEFORE else []
+        for example in (example for example in examples if example not in seen):
             seen.add(example)
             if example in UNTIL_CTRL_C:
                 made += [
@@ -97,7 +98,6 @@ def test_every_example_of_a_help_text_runs(complete: Installed, tmp_path: Path) 
 
 
 def test_every_entry_of_the_table_is_an_example() -> None:
-    verbs = [verb for panel in VERBS.values() for verb in panel]
-    examples = {example for verb in verbs for example in verb.examples}
-    assert NOT_RUN.keys() | UNTIL_CTRL_C.keys() <= examples
-    assert BEFORE.keys() | BESIDE_THE_CELL <= {verb.name for verb in verbs}
+    assert all(len(examples) >= 2 for examples in EXAMPLES.values())
+    assert NOT_RUN.keys() | UNTIL_CTRL_C.keys() <= {each for some in EXAMPLES.values() for each in some}
+    assert BEFORE.keys() | BESIDE_THE_CELL <= EXAMPLES.keys()

@@ -1,11 +1,11 @@
-"""The command: one table of its verbs, each with two examples.
+"""The command: one table of its verbs, and one of examples.
 
 No file of verbs imports a heavy package (numpy, pydantic, zenoh, matplotlib) outside of its functions, so that help and
 completion are quick.
 """
 
 from collections.abc import Callable
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
@@ -80,272 +80,179 @@ class Verbs(TyperGroup):
         return super().resolve_command(ctx, args)
 
 
-class Verb(NamedTuple):
-    """One verb of the command, or of a group of verbs.
-
-    Attributes:
-        name: as typed; a verb of a group has the group's name before its own.
-        does: the function that runs it; for a group its help text, or the function for the group alone.
-        examples: two complete commands, for the end of its help.
-    """
-
-    name: str
-    does: Callable[..., None] | str
-    examples: tuple[str, str]
-
-
-RUN = "Run a cell"
-WATCH = "Look at a running cell"
-COMMAND = "Command a running cell"
-STUDY = "Study and check"
-REAL = "Real robots"
-
-VERBS: dict[str, tuple[Verb, ...]] = {
-    RUN: (
-        Verb("up", up.up, ("deltaq up", "deltaq up --cell lab-4ms --record start.mcap --no-console")),
-        Verb("demo", demo.demo, ("deltaq demo --open", "deltaq demo --duration-s 20 --no-console --json")),
-        Verb(
-            "keys",
-            installation.keys,
-            (
-                "deltaq keys --cell lab --output identities --operator anna",
-                "deltaq keys --secret --output operator.token",
-            ),
-        ),
-    ),
-    WATCH: (
-        Verb("status", watch.status, ("deltaq status --watch", "deltaq status --service sim --json")),
-        Verb(
-            "topic",
-            "Follow the streams of a running cell: their messages, their rates.",
-            ("deltaq topic echo state --robot gr --count 1", "deltaq topic hz --duration-s 2"),
-        ),
-        Verb(
-            "topic echo",
-            streams.echo,
-            ("deltaq topic echo state --robot fr --count 3", "deltaq topic echo proximity --count 1"),
-        ),
-        Verb("topic hz", streams.hz, ("deltaq topic hz", "deltaq topic hz --duration-s 2 --json")),
-        Verb(
-            "recording",
-            "Record a cell; replay, draw and report recordings.",
-            (
-                "deltaq recording record --output run.mcap --duration-s 5",
-                "deltaq recording report run.mcap --json",
-            ),
-        ),
-        Verb(
-            "recording record",
-            recordings.record,
-            (
-                "deltaq recording record --output run.mcap --duration-s 5",
-                "deltaq recording record --output short.mcap --duration-s 5 --json",
-            ),
-        ),
-        Verb(
-            "recording replay",
-            recordings.replay,
-            ("deltaq recording replay run.mcap", "deltaq recording replay run.mcap --json"),
-        ),
-        Verb(
-            "recording plot",
-            recordings.plot,
-            ("deltaq recording plot run.mcap", "deltaq recording plot run.mcap --output paths.png"),
-        ),
-        Verb(
-            "recording report",
-            recordings.report,
-            ("deltaq recording report run.mcap", "deltaq recording report run.mcap --json"),
-        ),
-        Verb("metrics", watch.metrics, ("deltaq metrics", "deltaq metrics --cell lab --port 9465")),
-        Verb("ros2", watch.ros2, ("deltaq ros2", "deltaq ros2 --accept-trajectories fr --domain-id 7")),
-        Verb("audit", watch.audit, ("deltaq audit", "deltaq audit --robot fr --lines 10 --json")),
-    ),
-    COMMAND: (
-        Verb(
-            "drive",
-            drive.drive,
-            ("deltaq drive --robot fr", "deltaq drive --robot gr --mode decoupled --script steps.yaml"),
-        ),
-        Verb(
-            "run",
-            drive.run,
-            (
-                "deltaq run turn.py:Turn --robot fr",
-                "deltaq run turn.py:Turn --robot fr --url tcp/127.0.0.1:7447",
-            ),
-        ),
-        Verb(
-            "camera",
-            "Follow a robot with a camera; change or show what the camera looks at.",
-            ("deltaq camera follow --duration-s 5", "deltaq camera view --distance-m 0.9"),
-        ),
-        Verb(
-            "camera follow",
-            operate.follow,
-            (
-                "deltaq camera follow",
-                "deltaq camera follow --robot fr --leader gr --controller paper --duration-s 5",
-            ),
-        ),
-        Verb(
-            "camera view",
-            operate.view,
-            (
-                "deltaq camera view --distance-m 0.9",
-                "deltaq camera view --target gr:0,0,0.04 --target=-0.4,-0.7,1.3",
-            ),
-        ),
-        Verb(
-            "camera show", operate.show_view, ("deltaq camera show", "deltaq camera show --robot fr --json")
-        ),
-        Verb(
-            "advise",
-            advise.advise,
-            (
-                "deltaq advise --cell dawm --offline",
-                "deltaq advise --cell dawm --offline --options 3 --criterion clearance=1 --json",
-            ),
-        ),
-        Verb(
-            "routine",
-            "Inspection and maintenance routines on the equipment of a cell.",
-            ("deltaq routine list", "deltaq routine run turn valve_1 quarter_turns=1"),
-        ),
-        Verb(
-            "routine list",
-            routine.list_routines,
-            ("deltaq routine list", "deltaq routine list --cell lab --json"),
-        ),
-        Verb(
-            "routine run",
-            routine.run,
-            ("deltaq routine run turn valve_1 quarter_turns=1", "deltaq routine run park --robot gr --json"),
-        ),
-        Verb(
-            "routine resume",
-            routine.resume,
-            ("deltaq routine resume", "deltaq routine resume --robot gr --abort"),
-        ),
-        Verb("stop", operate.stop, ("deltaq stop", "deltaq stop --url tcp/127.0.0.1:7447 --json")),
-        Verb("reset", operate.reset, ("deltaq reset", "deltaq reset --robot fr --json")),
-        Verb("lease", operate.lease, ("deltaq lease --robot fr", "deltaq lease --robot fr --release")),
-        Verb("io", operate.io, ("deltaq io --robot gr", "deltaq io --robot gr gripper=on")),
-        Verb("contact", operate.contact, ("deltaq contact", "deltaq contact --cell lab --json")),
-        Verb(
-            "dry-run",
-            operate.dry_run,
-            (
-                "deltaq dry-run --robot fr --dq 0.0001,0,0,0,0,0",
-                "deltaq dry-run --robot fr --dq 0,0,0,0,0,0.0001 --json",
-            ),
-        ),
-    ),
-    STUDY: (
-        Verb(
-            "experiment",
-            study.experiment,
-            (
-                "deltaq experiment tracking --duration-s 10 --figure tracking.png",
-                "deltaq experiment peg-and-valve --seeds 1 --mode decoupled",
-            ),
-        ),
-        Verb(
-            "fault",
-            "Inject faults into a moving robot, and report which limits were kept.",
-            ("deltaq fault list", "deltaq fault table krc-hiccup --robot fr"),
-        ),
-        Verb("fault list", fault.list_faults, ("deltaq fault list", "deltaq fault list --json")),
-        Verb(
-            "fault inject",
-            fault.inject,
-            (
-                "deltaq fault inject krc-hiccup --robot fr",
-                "deltaq fault inject krc-silent --robot gr --for-s 0.5 --json",
-            ),
-        ),
-        Verb(
-            "fault table",
-            fault.table,
-            ("deltaq fault table krc-hiccup", "deltaq fault table krc-hiccup hli-dead --robot fr --json"),
-        ),
-        Verb(
-            "fault run",
-            fault.run,
-            ("deltaq fault run scenario.yaml", "deltaq fault run scenario.yaml --seed 3 --junit faults.xml"),
-        ),
-        Verb(
-            "fault search",
-            fault.search,
-            (
-                "deltaq fault search scenario.yaml --examples 5",
-                "deltaq fault search scenario.yaml --examples 5 --output shortest.yaml --json",
-            ),
-        ),
-        Verb(
-            "fault impair",
-            fault.impair,
-            (
-                "deltaq fault impair --listen tcp/127.0.0.1:7460 --to tcp/127.0.0.1:7447 --delay-s 0.03"
-                " --duration-s 60",
-                "deltaq fault impair --listen udp/127.0.0.1:7461 --to udp/127.0.0.1:7462 --loss-share 0.1"
-                " --duration-s 2",
-            ),
-        ),
-        Verb(
-            "bench", study.bench, ("deltaq bench --cycles 100", "deltaq bench --live --duration-s 5 --json")
-        ),
-        Verb(
-            "bench soak",
-            fault.soak,
-            (
-                "deltaq bench soak --hours 0.01 --output soak",
-                "deltaq bench soak --hours 0.01 --output soak --seed 3 --json",
-            ),
-        ),
-        Verb(
-            "bench filters",
-            study.filters,
-            (
-                "deltaq bench filters --scenes 1 --cycles 100",
-                "deltaq bench filters none gate half.py:half --scenes 1 --cycles 100 --json",
-            ),
-        ),
-        Verb("check", installation.check, ("deltaq check --cell lab", "deltaq check --cell lab --verbose")),
-        Verb("schema", installation.schema, ("deltaq schema", "deltaq schema increment")),
-        Verb("doctor", installation.doctor, ("deltaq doctor", "deltaq doctor --cell dawm --json")),
-    ),
-    REAL: (
-        Verb(
-            "krc",
-            "Bring up a real KRC: its files, its telegrams, the lag of its drives.",
-            ("deltaq krc files --cell lab --robot fr --output krc", "deltaq krc sniff --port 49152"),
-        ),
-        Verb(
-            "krc files",
-            krc.write_krc_files,
-            (
-                "deltaq krc files --cell lab --robot fr --output krc",
-                "deltaq krc files --cell lab --robot fr --output first --limit-deg 2 --start here",
-            ),
-        ),
-        Verb(
-            "krc sniff",
-            krc.sniff,
-            ("deltaq krc sniff --port 49152", "deltaq krc sniff --cell lab --robot fr --duration-s 2 --json"),
-        ),
-        Verb(
-            "krc echo",
-            krc.echo,
-            ("deltaq krc echo --robot fr", "deltaq krc echo --cell lab --robot fr --duration-s 2 --json"),
-        ),
-        Verb(
-            "krc lag",
-            lag,
-            ("deltaq krc lag --robot fr", "deltaq krc lag --cell lab --robot gr --output gr-lag.png --json"),
-        ),
-    ),
+VERBS: dict[str, dict[str, Callable[..., None] | str]] = {
+    "Run a cell": {
+        "up": up.up,
+        "demo": demo.demo,
+        "keys": installation.keys,
+    },
+    "Look at a running cell": {
+        "status": watch.status,
+        "topic": "Follow the streams of a running cell: their messages, their rates.",
+        "topic echo": streams.echo,
+        "topic hz": streams.hz,
+        "recording": "Record a cell; replay, draw and report recordings.",
+        "recording record": recordings.record,
+        "recording replay": recordings.replay,
+        "recording plot": recordings.plot,
+        "recording report": recordings.report,
+        "metrics": watch.metrics,
+        "ros2": watch.ros2,
+        "audit": watch.audit,
+    },
+    "Command a running cell": {
+        "drive": drive.drive,
+        "run": drive.run,
+        "camera": "Follow a robot with a camera; change or show what the camera looks at.",
+        "camera follow": operate.follow,
+        "camera view": operate.view,
+        "camera show": operate.show_view,
+        "advise": advise.advise,
+        "routine": "Inspection and maintenance routines on the equipment of a cell.",
+        "routine list": routine.list_routines,
+        "routine run": routine.run,
+        "routine resume": routine.resume,
+        "stop": operate.stop,
+        "reset": operate.reset,
+        "lease": operate.lease,
+        "io": operate.io,
+        "contact": operate.contact,
+        "dry-run": operate.dry_run,
+    },
+    "Study and check": {
+        "experiment": study.experiment,
+        "fault": "Inject faults into a moving robot, and report which limits were kept.",
+        "fault list": fault.list_faults,
+        "fault inject": fault.inject,
+        "fault table": fault.table,
+        "fault run": fault.run,
+        "fault search": fault.search,
+        "fault impair": fault.impair,
+        "bench": study.bench,
+        "bench soak": fault.soak,
+        "bench filters": study.filters,
+        "check": installation.check,
+        "schema": installation.schema,
+        "doctor": installation.doctor,
+    },
+    "Real robots": {
+        "krc": "Bring up a real KRC: its files, its telegrams, the lag of its drives.",
+        "krc files": krc.write_krc_files,
+        "krc sniff": krc.sniff,
+        "krc echo": krc.echo,
+        "krc lag": lag,
+    },
 }
+"""The verbs by panel of the help: the function that runs each, or the help of a group, which precedes its verbs."""
+
+_EXAMPLES = """
+deltaq up
+deltaq up --cell lab-4ms --record start.mcap --no-console
+deltaq demo --open
+deltaq demo --duration-s 20 --no-console --json
+deltaq keys --cell lab --output identities --operator anna
+deltaq keys --secret --output operator.token
+deltaq status --watch
+deltaq status --service sim --json
+deltaq topic echo state --robot fr --count 3
+deltaq topic echo proximity --count 1
+deltaq topic hz
+deltaq topic hz --duration-s 2 --json
+deltaq recording record --output run.mcap --duration-s 5
+deltaq recording record --output short.mcap --duration-s 5 --json
+deltaq recording replay run.mcap
+deltaq recording replay run.mcap --json
+deltaq recording plot run.mcap
+deltaq recording plot run.mcap --output paths.png
+deltaq recording report run.mcap
+deltaq recording report run.mcap --json
+deltaq metrics
+deltaq metrics --cell lab --port 9465
+deltaq ros2
+deltaq ros2 --accept-trajectories fr --domain-id 7
+deltaq audit
+deltaq audit --robot fr --lines 10 --json
+deltaq drive --robot fr
+deltaq drive --robot gr --mode decoupled --script steps.yaml
+deltaq run turn.py:Turn --robot fr
+deltaq run turn.py:Turn --robot fr --url tcp/127.0.0.1:7447
+deltaq camera follow
+deltaq camera follow --robot fr --leader gr --controller paper --duration-s 5
+deltaq camera view --distance-m 0.9
+deltaq camera view --target gr:0,0,0.04 --target=-0.4,-0.7,1.3
+deltaq camera show
+deltaq camera show --robot fr --json
+deltaq advise --cell dawm --offline
+deltaq advise --cell dawm --offline --options 3 --criterion clearance=1 --json
+deltaq routine list
+deltaq routine list --cell lab --json
+deltaq routine run turn valve_1 quarter_turns=1
+deltaq routine run park --robot gr --json
+deltaq routine resume
+deltaq routine resume --robot gr --abort
+deltaq stop
+deltaq stop --url tcp/127.0.0.1:7447 --json
+deltaq reset
+deltaq reset --robot fr --json
+deltaq lease --robot fr
+deltaq lease --robot fr --release
+deltaq io --robot gr
+deltaq io --robot gr gripper=on
+deltaq contact
+deltaq contact --cell lab --json
+deltaq dry-run --robot fr --dq 0.0001,0,0,0,0,0
+deltaq dry-run --robot fr --dq 0,0,0,0,0,0.0001 --json
+deltaq experiment tracking --duration-s 10 --figure tracking.png
+deltaq experiment peg-and-valve --seeds 1 --mode decoupled
+deltaq fault list
+deltaq fault list --json
+deltaq fault inject krc-hiccup --robot fr
+deltaq fault inject krc-silent --robot gr --for-s 0.5 --json
+deltaq fault table krc-hiccup
+deltaq fault table krc-hiccup hli-dead --robot fr --json
+deltaq fault run scenario.yaml
+deltaq fault run scenario.yaml --seed 3 --junit faults.xml
+deltaq fault search scenario.yaml --examples 5
+deltaq fault search scenario.yaml --examples 5 --output shortest.yaml --json
+deltaq fault impair --listen tcp/127.0.0.1:7460 --to tcp/127.0.0.1:7447 --delay-s 0.03 --duration-s 60
+deltaq fault impair --listen udp/127.0.0.1:7461 --to udp/127.0.0.1:7462 --loss-share 0.1 --duration-s 2
+deltaq bench --cycles 100
+deltaq bench --live --duration-s 5 --json
+deltaq bench soak --hours 0.01 --output soak
+deltaq bench soak --hours 0.01 --output soak --seed 3 --json
+deltaq bench filters --scenes 1 --cycles 100
+deltaq bench filters none gate half.py:half --scenes 1 --cycles 100 --json
+deltaq check --cell lab
+deltaq check --cell lab --verbose
+deltaq schema
+deltaq schema increment
+deltaq doctor
+deltaq doctor --cell dawm --json
+deltaq krc files --cell lab --robot fr --output krc
+deltaq krc files --cell lab --robot fr --output first --limit-deg 2 --start here
+deltaq krc sniff --port 49152
+deltaq krc sniff --cell lab --robot fr --duration-s 2 --json
+deltaq krc echo --robot fr
+deltaq krc echo --cell lab --robot fr --duration-s 2 --json
+deltaq krc lag --robot fr
+deltaq krc lag --cell lab --robot gr --output gr-lag.png --json
+"""
+
+
+def _examples() -> dict[str, tuple[str, ...]]:
+    """The examples of each verb: an example begins with the verb's name. A group shows one of each of two verbs."""
+    names = [name for verbs in VERBS.values() for name in verbs]
+    found: dict[str, tuple[str, ...]] = dict.fromkeys(names, ())
+    for example in _EXAMPLES.split("\n")[1:-1]:
+        meant = [name for name in names if f"{example} ".startswith(f"deltaq {name} ")]
+        found[max(meant, key=len)] += (example,)
+    for group in (name for name in names if not found[name]):
+        found[group] = tuple(found[name][0] for name in names if name.startswith(f"{group} "))[:2]
+    return found
+
+
+EXAMPLES = _examples()
+"""Two complete commands or more for each verb, for the end of its help."""
 
 
 def _print_version(wanted: bool) -> None:
@@ -380,21 +287,21 @@ def _command() -> typer.Typer:
     )
     groups: dict[str, typer.Typer] = {}
     for panel, verbs in VERBS.items():
-        heads = {verb.name.partition(" ")[0] for verb in verbs if " " in verb.name}
-        for name, does, examples in verbs:
+        heads = {name.partition(" ")[0] for name in verbs if " " in name}
+        for name, does in verbs.items():
             group, _, own_name = name.rpartition(" ")
-            epilog = _epilog(*examples)
-            if name not in heads:
+            epilog = _epilog(*EXAMPLES[name])
+            if isinstance(does, str):
+                groups[name] = _group(help=does, epilog=epilog, no_args_is_help=True)
+            elif name in heads:
+                groups[name] = _group(epilog=epilog, callback=does, invoke_without_command=True)
+            else:
                 parent = groups[group] if group else command
                 of_panel = None if group else panel
                 paragraphs = (does.__doc__ or "").split("\n\n")
                 text = "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
-                parent.command(own_name, help=text, rich_help_panel=of_panel, epilog=epilog)(does)  # type: ignore[type-var]
+                parent.command(own_name, help=text, rich_help_panel=of_panel, epilog=epilog)(does)
                 continue
-            if isinstance(does, str):
-                groups[name] = _group(help=does, epilog=epilog, no_args_is_help=True)
-            else:
-                groups[name] = _group(epilog=epilog, callback=does, invoke_without_command=True)
             command.add_typer(groups[name], name=name, rich_help_panel=panel)
     return command
 
