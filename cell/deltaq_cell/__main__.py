@@ -3,8 +3,6 @@
 Prints how far it is, and does nothing where all is kept from an earlier run.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from deltaq_cell.machine_code import folder, is_complete, mark_complete

@@ -1,7 +1,5 @@
 """Fills the kernel's arrays from a cell's model."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

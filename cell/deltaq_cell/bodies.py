@@ -1,7 +1,5 @@
 """The bodies of one robot, and how far they can travel."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

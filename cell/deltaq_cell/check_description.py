@@ -1,7 +1,5 @@
 """Problems of a cell description that show without a model of its robots, also in the files that it names."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterator
 from pathlib import Path

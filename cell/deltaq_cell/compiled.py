@@ -6,8 +6,6 @@ So the code is kept in a folder named after a hash of all compiled sources of it
 Within that folder a module is found by its path in the package, so the folder can be copied to another installation.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache

@@ -4,8 +4,6 @@ The kernel (`deltaq_cell.kernel`) computes poses, travel and bounds of distances
 exactly.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -9,8 +9,6 @@ A hull keeps all its corners up to a bound, and one with more gets a polytope ar
 the kernel takes any number of corners, and only the last digits of what coal measures depend on earlier queries.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

@@ -12,8 +12,6 @@ It includes the cycle in which the setpoint travels to the drives, their dead ti
 more than the remainder.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Cells come from other packages (deltaq's own are part of its deployment), which 
 a package registers its folder of cells as an entry point of the group `deltaq.cells`.
 """
 
-from __future__ import annotations
-
 import difflib
 import os
 import sys

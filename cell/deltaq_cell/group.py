@@ -1,7 +1,5 @@
 """Groups of bodies whose distances coal measures in one call, with one stop distance for all pairs."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -8,8 +8,6 @@ A hull is sent as its corners. The same corners in the same order give the same 
 come with a robot may have more corners, and then do so but for rounding: see `deltaq_cell.convex_parts`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import combinations, product
 from typing import Any, TypeAlias

@@ -5,8 +5,6 @@ paths of files may differ between hosts and are left out, and so is equipment, w
 a robot's model files is hashed.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """The files that a robot's KRC has loaded, checked against the cell's description of the robot."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from deltaq_cell.description import RobotDescription, RsiDescription

@@ -1,7 +1,5 @@
 """Robot models by name or path: their URDF text, without loading any kinematics or meshes."""
 
-from __future__ import annotations
-
 import copy
 import difflib
 import xml.etree.ElementTree as ElementTree

@@ -6,8 +6,6 @@ MoveIt's setup assistant. Pairs that never touch in the samples are checked all 
 sample proves nothing about the configurations between the samples.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum

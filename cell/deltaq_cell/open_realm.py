@@ -1,7 +1,5 @@
 """Where clients reach a cell: on this machine alone, or from others."""
 
-from __future__ import annotations
-
 import ipaddress
 
 from deltaq_cell.description import CellDescription

@@ -1,7 +1,5 @@
 """Problems of a cell description: file, line, field, value, bound, suggestion."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any

@@ -5,8 +5,6 @@ position. So by the triangle inequality no point of a body is farther from the f
 lengths along its chain and its own greatest distance from the frame that carries it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which robot of a cell watches which: the first with a camera watches the first other one, unless others are named."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from deltaq_cell.description import CellDescription

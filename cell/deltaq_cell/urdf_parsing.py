@@ -1,7 +1,5 @@
 """Prepares a URDF for pinocchio: checks its numbers, and rewrites elements that pinocchio does not accept."""
 
-from __future__ import annotations
-
 import math
 import re
 import xml.etree.ElementTree as ElementTree

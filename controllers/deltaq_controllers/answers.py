@@ -6,8 +6,6 @@ the next state is answered: not waiting gained nothing in a running cell (docs/n
 takes longer, the lease asks for a jitter buffer, and the increments waiting there are in flight, too.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Sequence
 from contextlib import suppress

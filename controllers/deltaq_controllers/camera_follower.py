@@ -1,7 +1,5 @@
 """The camera follower as a process: `python -m deltaq_controllers.camera_follower --url tcp/127.0.0.1:7447`."""
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import contextlib

@@ -1,7 +1,5 @@
 """Drive a robot of a running cell with a controller: the shell around every controller's core."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import gc

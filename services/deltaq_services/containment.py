@@ -6,8 +6,6 @@ A snapshot before each message would cost a fifth of what the message costs, cop
 that: their values are never written to, and where they are lists, maps, sets or deques these are copied too.
 """
 
-from __future__ import annotations
-
 import logging
 import traceback
 from collections import Counter, deque

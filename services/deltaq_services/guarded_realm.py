@@ -5,8 +5,6 @@ service has a certificate, and zenoh's access control accepts its messages only 
 topics allows.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from hashlib import blake2b

@@ -1,7 +1,5 @@
 """What cores want sent, for their shells: messages and setpoints, and their destinations."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

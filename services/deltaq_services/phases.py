@@ -4,8 +4,6 @@ The Robot Server owns the phase of its robot, because it is the last program bef
 the loss of every other one. An event that has no row for the present phase changes nothing.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import StrEnum
 

@@ -1,7 +1,5 @@
 """Start and end of every service process."""
 
-from __future__ import annotations
-
 import argparse
 import gc
 import logging

@@ -1,7 +1,5 @@
 """Rates of messages: how many a sender may send, when the next is due, which streams lag. Users pass the time in."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 

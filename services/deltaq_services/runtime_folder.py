@@ -1,7 +1,5 @@
 """The folder of a user's running services; other users cannot enter it."""
 
-from __future__ import annotations
-
 import os
 import stat
 import tempfile

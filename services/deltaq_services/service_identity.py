@@ -1,7 +1,5 @@
 """The identity of a service: its certificate over TLS, and the authority of its cell."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Mapping
 from pathlib import Path

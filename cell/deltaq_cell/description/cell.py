@@ -1,7 +1,5 @@
 """The description of a cell: robots, structure, gate."""
 
-from __future__ import annotations
-
 from typing import Annotated, Self
 
 from pydantic import Field, model_validator

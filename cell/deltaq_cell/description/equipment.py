@@ -1,7 +1,5 @@
 """Process equipment: which bodies of the structure belong to it, and how a robot works on it."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, FiniteFloat, model_validator

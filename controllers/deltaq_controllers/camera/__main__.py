@@ -3,8 +3,6 @@
 Prints how far it is, and does nothing if all is stored from an earlier run.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from pathlib import Path

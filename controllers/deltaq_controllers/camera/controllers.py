@@ -3,8 +3,6 @@
 All of them answer a `View` with an increment, and let their focus and view distance be set.
 """
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable
 from typing import Protocol, runtime_checkable

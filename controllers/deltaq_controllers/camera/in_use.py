@@ -3,8 +3,6 @@
 For each robot that can be watched there is a controller, made before anything moves: another leader costs no cycle.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

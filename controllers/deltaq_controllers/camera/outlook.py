@@ -1,7 +1,5 @@
 """The bodies that hide a target from a camera at its present pose."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

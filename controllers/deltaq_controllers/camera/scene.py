@@ -1,7 +1,5 @@
 """The cell of a camera controller, and the roles of its robots."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ itself is held by the gate. Here the barriers of the quadratic programme bend su
 change as by the law, and the joints deviate from it.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

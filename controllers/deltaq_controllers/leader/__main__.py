@@ -1,7 +1,5 @@
 """The scripted leader as a process: `python -m deltaq_controllers.leader --url tcp/127.0.0.1:7447`."""
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import contextlib

@@ -4,8 +4,6 @@ It homes in on a point of the follower, however that moves, withdraws, and comes
 need not be admitted by the gate.
 """
 
-from __future__ import annotations
-
 from itertools import cycle
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`python -m deltaq_controllers.operated --robot fr`: the lines are those of `deltaq_protocol.driving`."""
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import contextlib

@@ -1,7 +1,5 @@
 """What an operated robot is asked for in each cycle. Pure: times are handed in."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 

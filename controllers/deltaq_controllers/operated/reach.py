@@ -1,7 +1,5 @@
 """Path to a pose of a hand, straight in joint space, and its clear part, computed on a copy of the cell."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The shell of an operated robot: requests come in lines, the robot's cycle is answered, reports go out."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import time

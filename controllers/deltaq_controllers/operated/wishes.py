@@ -1,7 +1,5 @@
 """The present motion command of a teleoperator, with its master and grip."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """`python -m deltaq_services.metrics --cell lab`."""
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 

@@ -3,8 +3,6 @@
 The status is requested once for each scrape. The HLI may stop and come back at any time.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import time

@@ -5,8 +5,6 @@ ordered; cycles are counted one by one, and a robot whose gate is silent is held
 from a fault, from two gates, or from a forger. The gate cannot tell which.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -7,8 +7,6 @@ or, where a window is a straight line, at a length that no drive resolves. A bud
 when it is used up, the answer is no.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

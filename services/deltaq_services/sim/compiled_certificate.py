@@ -5,8 +5,6 @@ The kernel divides the same tubes in the same way, but asks each half only for t
 certify with a budget that is large enough; tests hold the one against the other.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ Two gates with the same fingerprint give the same verdicts for the same messages
 and a real cell pass the same gate. Where services listen and how a robot is reached belong to neither hash.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from functools import cache

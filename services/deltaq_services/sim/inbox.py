@@ -6,8 +6,6 @@ sent a message in that cycle: only then is it known that there is no newer reque
 that it is out of date.
 """
 
-from __future__ import annotations
-
 from deltaq_protocol.guarded import Request, ServerState
 from deltaq_protocol.messages import Phase, Reason
 from deltaq_protocol.reasons import ReasonCode

@@ -6,8 +6,6 @@ violated pair has to keep the distance that it had when its violation began (`Vi
 distance. That distance is known only of robots that stood still then: no robot retreats into one that moves.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass

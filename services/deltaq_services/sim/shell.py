@@ -5,8 +5,6 @@ Robot Servers and the HLI give heartbeats at the pace that the table of topics s
 long.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 import secrets

@@ -4,8 +4,6 @@ Until a state shows which admission the Robot Server follows, the robot may take
 flight (`courses` in `deltaq_services.sim.tube`). The next decision continues from the end of the last one.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import replace

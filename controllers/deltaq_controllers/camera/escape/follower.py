@@ -6,8 +6,6 @@ evasion of (12): limits, least distances and the view stay above it, as they sta
 distance of others is left to the course, which has predicted their motion.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
