@@ -2,33 +2,34 @@
 
 import math
 import time
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from deltaq_controllers.camera.scene import Scene
 from deltaq_experiments.figures import Curve, FigurePanel
+from deltaq_experiments.live import run_live
 from deltaq_experiments.options import Options
-from deltaq_experiments.report import ExperimentOutcome, Figures, LeastClearance, ReachedSpeed, Report
+from deltaq_experiments.report import ExperimentOutcome, Report
 from deltaq_experiments.scene import (
     VIEW_DISTANCE_M,
     aim_arguments,
     camera_controller,
     load,
-    loop_latency_s,
     start_with_error,
 )
-from deltaq_experiments.seen import SeenRun, seen, shares_of
+from deltaq_experiments.seen import CameraRun, seen, summary
 from deltaq_experiments.trace import time_to_stay_below
-from deltaq_experiments.virtual import RunRecord, record
+from deltaq_experiments.virtual import record
 from deltaq_protocol.arrays import Array
-from deltaq_testing.oracle import GateCounts, LimitCounts
 
 DURATION_S = 5.0
 START_ERRORS_DEG = (83.0, 134.0, 145.0)
 
 
-class ApproachStart(BaseModel):
+class ApproachStart(BaseModel, frozen=True):
     """One start.
 
     Attributes:
@@ -38,8 +39,6 @@ class ApproachStart(BaseModel):
         final_deg: error at the end.
         final_distance_m: error of the view distance at the end.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     start_deg: float
     time_to_1_deg_s: float | None
@@ -60,7 +59,8 @@ def run(options: Options) -> ExperimentOutcome:
     Raises:
         DeltaqError: if the cell has no such robots, or no start was found.
     """
-    options = options.lasting(DURATION_S)
+    # all counts, from the start; the leader is at rest
+    options = replace(options.lasting(DURATION_S), settle_s=0.0, leader_speed_m_s=0.0)
     scene = load(options)
     began_s = time.perf_counter()
     runs = [
@@ -68,30 +68,23 @@ def run(options: Options) -> ExperimentOutcome:
         for index, error in enumerate(START_ERRORS_DEG)
     ]
     elapsed_s = time.perf_counter() - began_s
-    return ExperimentOutcome(_report(options, scene, runs, elapsed_s), _panels(runs))
+    starts = tuple(
+        approach_of(run.recording.trace.time_s, run.angle_deg, run.distance_error_m) for run in runs
+    )
+    report = ApproachReport(**summary("approach", options, scene, elapsed_s, *runs), starts=starts)
+    return ExperimentOutcome(report, _panels(runs))
 
 
-RunViews = tuple[RunRecord, Array, SeenRun]
-"""A recording, (k, 2) view angle error [deg] and view distance [m], and the target's visibility."""
-
-
-def _run_from(options: Options, scene: Scene, error: float, seed: int) -> RunViews:
+def _run_from(options: Options, scene: Scene, error: float, seed: int) -> CameraRun:
     camera = camera_controller(scene, options.controller)
     start = start_with_error(scene, camera, error, seed)
-    recording = (
-        _run_live(options, scene, start)
-        if options.live
-        else record(options, camera, start={scene.robot_name: start})
-    )
-    looks = seen(scene, recording.trace, scene.focus_at)
-    return recording, recording.trace.views(camera, scene), looks
-
-
-def _run_live(options: Options, scene: Scene, start: Array) -> RunRecord:
-    from deltaq_experiments.live import run_live
-
-    starting = ["--start", *(f"{value:.9f}" for value in start)]
-    return run_live(options, scene, [*starting, *aim_arguments(options)], leading=None)
+    if options.live:
+        starting = ["--start", *(f"{value:.9f}" for value in start)]
+        recording = run_live(options, scene, [*starting, *aim_arguments(options)], leading=None)
+    else:
+        recording = record(options, camera, start={scene.robot_name: start})
+    views, looks = recording.trace.views(camera, scene), seen(scene, recording.trace, scene.focus_at)
+    return CameraRun(recording, views[:, 0], views[:, 1] - VIEW_DISTANCE_M, looks)
 
 
 def approach_of(time_s: Array, angle_deg: Array, distance_error_m: Array) -> ApproachStart:
@@ -108,66 +101,16 @@ def approach_of(time_s: Array, angle_deg: Array, distance_error_m: Array) -> App
     )
 
 
-def _report(options: Options, scene: Scene, runs: list[RunViews], elapsed_s: float) -> ApproachReport:
-    starts = [
-        approach_of(recording.trace.time_s, views[:, 0], views[:, 1] - VIEW_DISTANCE_M)
-        for recording, views, _ in runs
-    ]
-    together = np.concatenate([views for _, views, _ in runs])
-    rolls = np.concatenate([np.abs(recording.trace.rolls(scene.robot)) for recording, _, _ in runs])
-    everything = np.ones(len(together), dtype=np.bool_)
-    times = [start.time_to_1_deg_s for start in starts]
-    clearances = [recording.trace.least_clearance(scene.cell) for recording, _, _ in runs]
-    speeds = [recording.trace.reached_speed(scene.leader) for recording, _, _ in runs]
-    nearest = min(clearances, key=lambda clearance: clearance.min)
-    return ApproachReport(
-        experiment="approach",
-        controller=options.controller,
-        robot=scene.robot_name,
-        leader=scene.leader_name,
-        seed=options.seed,
-        live=options.live,
-        cycles=len(together),
-        cycle_s=scene.cycle_s,
-        latency_s=options.latency_s,
-        loop_latency_s=loop_latency_s(scene),
-        leader_speed_m_s=0.0,
-        stick_m_s2=options.stick_m_s2,
-        leader_reached_m_s=ReachedSpeed(
-            mean=float(np.mean([speed.mean for speed in speeds])), peak=max(speed.peak for speed in speeds)
-        ),
-        angle_deg=Figures.of(together[:, 0], everything),
-        distance_m=Figures.of(np.abs(together[:, 1] - VIEW_DISTANCE_M), everything),
-        roll_deg=Figures.of(rolls, everything),
-        seen=shares_of([look for _, _, looks in runs for look in looks.looks]),
-        time_to_1_deg_s=None if None in times else max(t for t in times if t is not None),
-        clearance_m=LeastClearance(
-            min=nearest.min,
-            pair=nearest.pair,
-            robots_min=min(clearance.robots_min for clearance in clearances),
-            self_min=min(clearance.self_min for clearance in clearances),
-        ),
-        limits=LimitCounts.sum(recording.trace.limit_counts(scene.cell) for recording, _, _ in runs),
-        gate=GateCounts.sum(recording.gate for recording, _, _ in runs),
-        reasons={
-            code: sum(recording.reasons.get(code, 0) for recording, _, _ in runs)
-            for code in sorted({code for recording, _, _ in runs for code in recording.reasons})
-        },
-        real_time_factor=sum(float(recording.trace.time_s[-1]) for recording, _, _ in runs) / elapsed_s,
-        starts=tuple(starts),
-    )
-
-
-def _panels(runs: list[RunViews]) -> tuple[FigurePanel, ...]:
-    def lines(column: int) -> tuple[Curve, ...]:
+def _panels(runs: list[CameraRun]) -> tuple[FigurePanel, ...]:
+    def lines(values: Callable[[CameraRun], Array]) -> tuple[Curve, ...]:
         return tuple(
-            Curve(f"from {views[0, 0]:.0f}°", recording.trace.time_s, views[:, column])
-            for recording, views, _ in runs
+            Curve(f"from {run.angle_deg[0]:.0f}°", run.recording.trace.time_s, values(run)) for run in runs
         )
 
-    clock = runs[0][0].trace.time_s
+    clock = runs[0].recording.trace.time_s
     desired = Curve("desired", clock, np.full_like(clock, VIEW_DISTANCE_M), "--")
+    distances = lines(lambda run: run.distance_error_m + VIEW_DISTANCE_M)
     return (
-        FigurePanel("View angle error", "deg", lines(0), bound=1.0),
-        FigurePanel("View distance", "m", (*lines(1), desired)),
+        FigurePanel("View angle error", "deg", lines(lambda run: run.angle_deg), bound=1.0),
+        FigurePanel("View distance", "m", (*distances, desired)),
     )

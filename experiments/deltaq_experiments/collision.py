@@ -3,7 +3,6 @@
 import math
 import time
 from collections.abc import Mapping
-from functools import partial
 from itertools import count
 
 import numpy as np
@@ -17,7 +16,8 @@ from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.leader.attacking import TARGETS, AttackingLeader, HomingStick, staging_box
 from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_emulator.drives import Servo
-from deltaq_experiments.figures import Curve, FigurePanel, Marks
+from deltaq_experiments.figures import Curve, FigurePanel, Marks, distance_panel
+from deltaq_experiments.live import run_live
 from deltaq_experiments.options import Options
 from deltaq_experiments.report import ExperimentOutcome, Report
 from deltaq_experiments.scene import (
@@ -29,7 +29,7 @@ from deltaq_experiments.scene import (
     load,
     start_with_error,
 )
-from deltaq_experiments.seen import seen, summary
+from deltaq_experiments.seen import CameraRun, seen, summary
 from deltaq_experiments.trace import Trace
 from deltaq_experiments.virtual import RunRecord, record, view_of
 from deltaq_protocol.arrays import Array
@@ -221,17 +221,16 @@ def run(options: Options) -> ExperimentOutcome:
     _refuse_without_a_gate(options)
     began_s = time.perf_counter()
     attacker = _attacker(options, scene)
-    run_live, run_virtual = partial(_run_live, options, scene, focus), partial(_run_virtual, options, scene)
-    recording = run_live() if options.live else run_virtual(camera, attacker)
+    recording = _recorded(options, scene, focus, camera, attacker)
     elapsed_s = time.perf_counter() - began_s
     trace = recording.trace
     views = trace.views(camera, scene)
     between = trace.robot_clearances(scene.cell)
     evading = trace.clearances(camera, scene) < camera.evades_below_m
-    error = views[:, 1] - VIEW_DISTANCE_M
     looks = seen(scene, trace, lambda _q_leader: focus)
+    run = CameraRun(recording, views[:, 0], views[:, 1] - VIEW_DISTANCE_M, looks)
     report = CollisionReport(
-        **summary("collision", options, scene, recording, views[:, 0], error, looks, elapsed_s),
+        **summary("collision", options, scene, elapsed_s, run),
         target=options.target,
         contacts=int((between <= 0.0).sum()),
         evading_share=float(evading.mean()),
@@ -266,18 +265,16 @@ def _attacker(options: Options, scene: Scene) -> Pressing:
     return Pressing(leader, scene.leader, scene.cycle_s)
 
 
-def _run_virtual(options: Options, scene: Scene, camera: FocusController, attacker: Pressing) -> RunRecord:
+def _recorded(
+    options: Options, scene: Scene, focus: Array, camera: FocusController, attacker: Pressing
+) -> RunRecord:
+    if options.live:
+        following = ["--focus-m", *(f"{value:.9f}" for value in focus)]
+        return run_live(options, scene, following, ["--attack", scene.robot_name, "--target", options.target])
     start = attack_start(scene, camera, options.seed)
     if options.gated:
         return record(options, camera, attacker, start)
     return record_ungated(options, scene, camera, attacker, start)
-
-
-def _run_live(options: Options, scene: Scene, focus: Array) -> RunRecord:
-    from deltaq_experiments.live import run_live
-
-    following = ["--focus-m", *(f"{value:.9f}" for value in focus)]
-    return run_live(options, scene, following, ["--attack", scene.robot_name, "--target", options.target])
 
 
 def _panels(
@@ -287,14 +284,6 @@ def _panels(
     marks = (Marks("F_rep acts", clock, evading),)
     return (
         FigurePanel("View angle error", "deg", (Curve("", clock, views[:, 0]),), (*marks, hidden), bound=1.0),
-        FigurePanel(
-            "View distance",
-            "m",
-            (
-                Curve("distance", clock, views[:, 1]),
-                Curve("desired", clock, np.full_like(clock, VIEW_DISTANCE_M), "--"),
-            ),
-            marks,
-        ),
+        distance_panel(clock, views[:, 1], VIEW_DISTANCE_M, marks),
         FigurePanel("Clearance between the robots", "m", (Curve("", clock, between),)),
     )

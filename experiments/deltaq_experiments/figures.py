@@ -69,6 +69,14 @@ class FigurePanel:
     bound: float | None = None
 
 
+def distance_panel(
+    time_s: Array, distance_m: Array, desired_m: Array | float, marks: tuple[Marks, ...] = ()
+) -> FigurePanel:
+    """View distance (k,) beside the desired one."""
+    desired = Curve("desired", time_s, np.broadcast_to(desired_m, time_s.shape), "--")
+    return FigurePanel("View distance", "m", (Curve("distance", time_s, distance_m), desired), marks)
+
+
 WIDTH_IN, PANEL_IN = 7.0, 2.1
 MARK_COLOURS = ("tab:red", "tab:purple", "tab:brown")
 

@@ -1,7 +1,6 @@
 """A camera experiment over real processes, zenoh and UDP, recorded by the emulated controllers themselves."""
 
 import tempfile
-import threading
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
@@ -36,17 +35,14 @@ class LastLines:
 
     def __init__(self) -> None:
         self._lines: deque[str] = deque(maxlen=KEPT)
-        self._lock = threading.Lock()
 
     def __call__(self, name: str, line: str) -> None:
         """Keep a line of a service."""
-        with self._lock:
-            self._lines.append(f"{name}: {line}")
+        self._lines.append(f"{name}: {line}")
 
     def text(self) -> str:
         """The lines, oldest first."""
-        with self._lock:
-            return "\n".join(self._lines)
+        return "\n".join(self._lines.copy())  # at once, whatever is added meanwhile
 
 
 START_S = 30.0

@@ -7,11 +7,14 @@ virtual time, steered by operators that are programs (`peg_and_valve_operators`)
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from statistics import median, quantiles
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
@@ -67,7 +70,7 @@ OPERATORS: dict[str, Callable[[Teleoperator, float, float], ScriptedOperator]] =
 """`self-motion` and `advisor` are decoupled mode with a change of posture before each piece of work."""
 
 
-class ModeFigures(BaseModel):
+class ModeFigures(BaseModel, frozen=True):
     """The task in one mode, once.
 
     Attributes:
@@ -89,8 +92,6 @@ class ModeFigures(BaseModel):
         slips: of the operator, by kind.
         gate: verdicts by outcome.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     mode: str
     seed: int
@@ -318,3 +319,74 @@ def _off_axis(hole: Array, pose: Array) -> tuple[float, float]:
     across = offset - (offset @ axis) * axis
     sine = np.linalg.norm(np.cross(axis, pose[:3, 2]))
     return float(np.linalg.norm(across)), float(np.arctan2(sine, axis @ pose[:3, 2]))
+
+
+# The figures of some runs, as tables and JSON have them.
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One figure of a run, with its name in tables.
+
+    Attributes:
+        name: its name with its unit.
+        of: computes it from one run.
+        decimals: number of decimals to print.
+        worst: selects the worst of several values.
+    """
+
+    name: str
+    of: Callable[[ModeFigures], float]
+    decimals: int = 1
+    worst: Callable[[Sequence[float]], float] = max
+
+    def told(self, runs: Sequence[ModeFigures]) -> dict[str, Any]:
+        """Median, lower and upper quartile, worst, and its seed."""
+        values = [self.of(run) for run in runs]
+        worst = self.worst(values)
+        # of one run, all three are that one
+        lower, _, upper = quantiles(values * 2 if len(values) == 1 else values, n=4, method="inclusive")
+        return {
+            "median": median(values),
+            "quartiles": [lower, upper],
+            "worst": worst,
+            "seed": runs[values.index(worst)].seed,
+        }
+
+    def cell(self, runs: Sequence[ModeFigures]) -> str:
+        """The median and the worst with its seed, as text for a table."""
+        told = self.told(runs)
+        middle, lower, upper, worst = (
+            f"{value:.{self.decimals}f}" for value in (told["median"], *told["quartiles"], told["worst"])
+        )
+        return f"{middle} [{lower}, {upper}]; {worst} ({told['seed']})"
+
+
+FIGURES = (
+    Figure("task, s", lambda run: run.time_s, 0),
+    Figure("peg off its axis, mm", lambda run: run.peg_off_mm),
+    Figure("peg tilted, °", lambda run: run.peg_tilt_deg, 2),
+    Figure("valve off its axis, mm", lambda run: run.valve_off_mm),
+    Figure("within tolerance, % of the time at work", lambda run: 100 * run.kept, 0, min),
+    Figure("least margin to a joint limit, %", lambda run: 100 * run.limit_margin, 0, min),
+    Figure("slips", lambda run: sum(run.slips.values()), 0),
+)
+
+
+def by_mode(runs: Sequence[ModeFigures]) -> dict[str, list[ModeFigures]]:
+    """The runs of each mode that has any, in the paper's order."""
+    found = {mode: [run for run in runs if run.mode == mode] for mode in OPERATORS}
+    return {mode: ours for mode, ours in found.items() if ours}
+
+
+def distributions(runs: Sequence[ModeFigures]) -> list[dict[str, Any]]:
+    """For each mode: number of runs, number of finished runs, and the distribution of every figure."""
+    return [
+        {
+            "mode": mode,
+            "runs": len(ours),
+            "done": sum(not run.undone for run in ours),
+            "figures": {figure.name: figure.told(ours) for figure in FIGURES},
+        }
+        for mode, ours in by_mode(runs).items()
+    ]

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from deltaq_experiments.figures import FigurePanel
 from deltaq_protocol.arrays import Array
 from deltaq_testing.oracle import GateCounts, LimitCounts
 
 
-class Figures(BaseModel):
+class Figures(BaseModel, frozen=True):
     """Root mean square and largest value after the settling time, and the last value."""
-
-    model_config = ConfigDict(frozen=True)
 
     rms: float
     max: float
@@ -31,10 +30,8 @@ class Figures(BaseModel):
         )
 
 
-class LeastClearance(BaseModel):
+class LeastClearance(BaseModel, frozen=True):
     """Least distance of bodies, measured by the independent checker on every recorded configuration."""
-
-    model_config = ConfigDict(frozen=True)
 
     min: float
     """Between the robots, and between robots and structure."""
@@ -44,11 +41,16 @@ class LeastClearance(BaseModel):
     self_min: float
     """Between two bodies of one robot."""
 
+    @classmethod
+    def of(cls, runs: Sequence[LeastClearance]) -> LeastClearance:
+        """The least of some runs."""
+        nearest = min(runs, key=lambda run: run.min)
+        robots_min, self_min = min(run.robots_min for run in runs), min(run.self_min for run in runs)
+        return cls(min=nearest.min, pair=nearest.pair, robots_min=robots_min, self_min=self_min)
 
-class ReachedSpeed(BaseModel):
+
+class ReachedSpeed(BaseModel, frozen=True):
     """Speed that the leader's tool reached after the settling time [m/s]."""
-
-    model_config = ConfigDict(frozen=True)
 
     mean: float
     """Length of its path over the time."""
@@ -56,10 +58,8 @@ class ReachedSpeed(BaseModel):
     """The largest over any 60 ms."""
 
 
-class SeenShares(BaseModel):
+class SeenShares(BaseModel, frozen=True):
     """Shares of the time in which the camera saw its target, after the settling time."""
-
-    model_config = ConfigDict(frozen=True)
 
     by_all_eyes: float
     """Within the picture of every eye, and nothing on any line of sight."""
@@ -73,10 +73,8 @@ class SeenShares(BaseModel):
     """The same by body, the most frequent first."""
 
 
-class Report(BaseModel):
+class Report(BaseModel, frozen=True):
     """One run of an experiment."""
-
-    model_config = ConfigDict(frozen=True)
 
     experiment: str
     controller: str

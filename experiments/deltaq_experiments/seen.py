@@ -11,11 +11,12 @@ from deltaq_controllers.camera.outlook import Visibility, VisibilityGauge
 from deltaq_controllers.camera.scene import Scene
 from deltaq_experiments.figures import Marks
 from deltaq_experiments.options import Options
-from deltaq_experiments.report import Figures, SeenShares
+from deltaq_experiments.report import Figures, LeastClearance, ReachedSpeed, SeenShares
 from deltaq_experiments.scene import loop_latency_s
 from deltaq_experiments.trace import Trace, time_to_stay_below
 from deltaq_experiments.virtual import RunRecord
 from deltaq_protocol.arrays import Array
+from deltaq_testing.oracle import GateCounts, LimitCounts
 
 EVERY_S = 0.06
 """Time between two checks of visibility; bodies hide a target for longer than this."""
@@ -33,10 +34,10 @@ class SeenRun:
     time_s: Array
     looks: Sequence[Visibility]
 
-    def shares(self, settle_s: float = 0.0) -> SeenShares:
-        """Shares of the time from `settle_s` on, or of all of it in a run that is shorter."""
-        settled = [look for time_s, look in zip(self.time_s, self.looks, strict=True) if time_s >= settle_s]
-        return shares_of(settled or self.looks)
+    def settled(self, settle_s: float) -> Sequence[Visibility]:
+        """The checks from `settle_s` on, or all of a run that is shorter."""
+        counted = [look for time_s, look in zip(self.time_s, self.looks, strict=True) if time_s >= settle_s]
+        return counted or self.looks
 
     def hidden(self) -> Marks:
         """Where an eye does not see the target, for a figure."""
@@ -77,30 +78,46 @@ def seen(scene: Scene, trace: Trace, target: Callable[[Array], Array]) -> SeenRu
     return SeenRun(trace.time_s[::every], looks)
 
 
-def summary(
-    experiment: str,
-    options: Options,
-    scene: Scene,
-    recording: RunRecord,
-    angle_deg: Array,
-    distance_error_m: Array,
-    seen: SeenRun,
-    elapsed_s: float,
-) -> dict[str, Any]:
-    """Fields of a `Report`.
+@dataclass(frozen=True)
+class CameraRun:
+    """A run as its camera saw it.
 
-    Args:
-        experiment: its name.
-        options: of the run.
-        scene: the roles of the robots.
+    Attributes:
         recording: of the run.
         angle_deg: (k,) view angle error.
         distance_error_m: (k,) view distance less the desired one.
         seen: the target's visibility.
-        elapsed_s: wall time of the run.
     """
-    trace = recording.trace
-    settled = trace.time_s >= options.settle_s
+
+    recording: RunRecord
+    angle_deg: Array
+    distance_error_m: Array
+    seen: SeenRun
+
+
+def summary(
+    experiment: str, options: Options, scene: Scene, elapsed_s: float, *runs: CameraRun
+) -> dict[str, Any]:
+    """Fields of a `Report` on all runs together.
+
+    Args:
+        experiment: its name.
+        options: of the runs.
+        scene: the roles of the robots.
+        elapsed_s: wall time of the runs.
+        runs: one or more.
+    """
+    traces = [run.recording.trace for run in runs]
+    settled = np.concatenate([trace.time_s >= options.settle_s for trace in traces])
+    angles = [np.abs(run.angle_deg) for run in runs]
+    distances = [np.abs(run.distance_error_m) for run in runs]
+    rolls = [np.abs(trace.rolls(scene.robot)) for trace in traces]
+    speeds = [trace.reached_speed(scene.leader, options.settle_s) for trace in traces]
+    times = [time_to_stay_below(*pair, 1.0) for pair in zip((t.time_s for t in traces), angles, strict=True)]
+    clearances = [trace.least_clearance(scene.cell) for trace in traces]
+    reasons: Counter[str] = Counter()
+    for run in runs:
+        reasons.update(run.recording.reasons)
     return {
         "experiment": experiment,
         "controller": options.controller,
@@ -108,21 +125,23 @@ def summary(
         "leader": scene.leader_name,
         "seed": options.seed,
         "live": options.live,
-        "cycles": len(trace.time_s),
+        "cycles": len(settled),
         "cycle_s": scene.cycle_s,
         "latency_s": options.latency_s,
         "loop_latency_s": loop_latency_s(scene),
         "leader_speed_m_s": options.leader_speed_m_s,
         "stick_m_s2": options.stick_m_s2,
-        "leader_reached_m_s": trace.reached_speed(scene.leader, options.settle_s),
-        "angle_deg": Figures.of(np.abs(angle_deg), settled),
-        "distance_m": Figures.of(np.abs(distance_error_m), settled),
-        "roll_deg": Figures.of(np.abs(trace.rolls(scene.robot)), settled),
-        "seen": seen.shares(options.settle_s),
-        "time_to_1_deg_s": time_to_stay_below(trace.time_s, np.abs(angle_deg), 1.0),
-        "clearance_m": trace.least_clearance(scene.cell),
-        "limits": trace.limit_counts(scene.cell),
-        "gate": recording.gate,
-        "reasons": recording.reasons,
-        "real_time_factor": float(trace.time_s[-1]) / elapsed_s,
+        "leader_reached_m_s": ReachedSpeed(
+            mean=float(np.mean([speed.mean for speed in speeds])), peak=max(speed.peak for speed in speeds)
+        ),
+        "angle_deg": Figures.of(np.concatenate(angles), settled),
+        "distance_m": Figures.of(np.concatenate(distances), settled),
+        "roll_deg": Figures.of(np.concatenate(rolls), settled),
+        "seen": shares_of([look for run in runs for look in run.seen.settled(options.settle_s)]),
+        "time_to_1_deg_s": None if None in times else max(time_s for time_s in times if time_s is not None),
+        "clearance_m": LeastClearance.of(clearances),
+        "limits": LimitCounts.sum(trace.limit_counts(scene.cell) for trace in traces),
+        "gate": GateCounts.sum(run.recording.gate for run in runs),
+        "reasons": dict(reasons),
+        "real_time_factor": sum(float(trace.time_s[-1]) for trace in traces) / elapsed_s,
     }

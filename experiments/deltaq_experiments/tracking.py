@@ -10,14 +10,14 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_cell.roles import RoleError
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.leader.scripted import ScriptedLeader
-from deltaq_experiments.figures import Curve, FigurePanel, Marks, draw
-from deltaq_experiments.live import trace_of
+from deltaq_experiments.figures import Curve, FigurePanel, Marks, distance_panel, draw
+from deltaq_experiments.live import run_live, trace_of
 from deltaq_experiments.options import Options
 from deltaq_experiments.report import ExperimentOutcome, Report
 from deltaq_experiments.scene import VIEW_DISTANCE_M, aim_arguments, camera_controller, load, scene_of
-from deltaq_experiments.seen import seen, summary
+from deltaq_experiments.seen import CameraRun, seen, summary
 from deltaq_experiments.trace import Trace
-from deltaq_experiments.virtual import RunRecord, record
+from deltaq_experiments.virtual import record
 from deltaq_protocol import topics
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import Outcome, RobotState, Verdict
@@ -35,30 +35,26 @@ def run(options: Options) -> ExperimentOutcome:
     options = options.lasting(DURATION_S)
     scene = load(options)
     began_s = time.perf_counter()
-    recording = _run_live(options, scene) if options.live else _run_virtual(options, scene)
+    if options.live:
+        recording = run_live(options, scene, aim_arguments(options))
+    else:
+        recording = record(
+            options, camera_controller(scene, options.controller), scripted_leader(options, scene)
+        )
     elapsed_s = time.perf_counter() - began_s
-    trace = recording.trace
-    views = trace.views(camera_controller(scene, options.controller), scene)
-    looks = seen(scene, trace, scene.focus_at)
-    angle, error = views[:, 0], views[:, 1] - VIEW_DISTANCE_M
-    report = Report(**summary("tracking", options, scene, recording, angle, error, looks, elapsed_s))
-    return ExperimentOutcome(report, panels(scene, trace, angle, views[:, 1], (looks.hidden(),)))
-
-
-def _run_virtual(options: Options, scene: Scene) -> RunRecord:
-    return record(options, camera_controller(scene, options.controller), scripted_leader(options, scene))
+    views = recording.trace.views(camera_controller(scene, options.controller), scene)
+    looks = seen(scene, recording.trace, scene.focus_at)
+    run = CameraRun(recording, views[:, 0], views[:, 1] - VIEW_DISTANCE_M, looks)
+    report = Report(**summary("tracking", options, scene, elapsed_s, run))
+    return ExperimentOutcome(
+        report, panels(scene, recording.trace, views[:, 0], views[:, 1], (looks.hidden(),))
+    )
 
 
 def scripted_leader(options: Options, scene: Scene) -> ScriptedLeader:
     """The leader that moves its tool about, as the options ask."""
     speed, seed, stick = options.leader_speed_m_s, options.seed, options.stick_m_s2
     return ScriptedLeader(scene.leader, scene.cycle_s, speed, seed, stick_m_s2=stick)
-
-
-def _run_live(options: Options, scene: Scene) -> RunRecord:
-    from deltaq_experiments.live import run_live
-
-    return run_live(options, scene, aim_arguments(options))
 
 
 def panels(
@@ -85,14 +81,7 @@ def panels(
             marks,
             bound=1.0,
         ),
-        FigurePanel(
-            "View distance",
-            "m",
-            (
-                Curve("distance", clock, distance),
-                Curve("desired", clock, np.full_like(clock, VIEW_DISTANCE_M), "--"),
-            ),
-        ),
+        distance_panel(clock, distance, VIEW_DISTANCE_M),
         FigurePanel(
             "Leader's tool, from where it began",
             "m",

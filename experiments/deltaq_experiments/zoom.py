@@ -5,15 +5,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from deltaq_controllers.camera.controllers import FocusController
 from deltaq_controllers.camera.scene import Scene
-from deltaq_experiments.figures import Curve, FigurePanel, Marks
+from deltaq_experiments.figures import Curve, FigurePanel, Marks, distance_panel
+from deltaq_experiments.live import run_live
 from deltaq_experiments.options import Options
 from deltaq_experiments.report import ExperimentOutcome, Report
 from deltaq_experiments.scene import VIEW_DISTANCE_M, aim_arguments, camera_controller, load
-from deltaq_experiments.seen import seen, summary
+from deltaq_experiments.seen import CameraRun, seen, summary
 from deltaq_experiments.tracking import scripted_leader
 from deltaq_experiments.virtual import RunRecord, record
 from deltaq_protocol.arrays import Array
@@ -26,7 +27,7 @@ REACHED_M = 0.01
 """Error of a plateau that counts as reached."""
 
 
-class Plateau(BaseModel):
+class Plateau(BaseModel, frozen=True):
     """One desired distance.
 
     Attributes:
@@ -38,8 +39,6 @@ class Plateau(BaseModel):
         reached: whether `error_m` is within a centimetre.
         why_not: the obstacle; None if it was reached.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     from_s: float
     desired_m: float
@@ -78,16 +77,14 @@ def run(options: Options) -> ExperimentOutcome:
     hold_s = options.length_s / len(DISTANCES_M)
     camera = camera_controller(scene, options.controller)
     began_s = time.perf_counter()
-    recording = (
-        _run_live(options, scene, hold_s) if options.live else _run_virtual(options, scene, camera, hold_s)
-    )
+    recording = _recorded(options, scene, camera, hold_s)
     elapsed_s = time.perf_counter() - began_s
     views = _views(scene, recording, camera, hold_s)
-    error = views.distance_m - views.desired_m
     clock = recording.trace.time_s
     looks = seen(scene, recording.trace, scene.focus_at)
+    run = CameraRun(recording, views.angle_deg, views.distance_m - views.desired_m, looks)
     report = ZoomReport(
-        **summary("zoom", options, scene, recording, views.angle_deg, error, looks, elapsed_s),
+        **summary("zoom", options, scene, elapsed_s, run),
         plateaus=tuple(
             plateau(views, clock, index * hold_s, (index + 1) * hold_s) for index in range(len(DISTANCES_M))
         ),
@@ -95,19 +92,16 @@ def run(options: Options) -> ExperimentOutcome:
     return ExperimentOutcome(report, _panels(clock, views, looks.hidden()))
 
 
-def _run_virtual(options: Options, scene: Scene, camera: FocusController, hold_s: float) -> RunRecord:
+def _recorded(options: Options, scene: Scene, camera: FocusController, hold_s: float) -> RunRecord:
+    if options.live:
+        distances = [f"{distance:g}" for distance in DISTANCES_M]
+        zooming = ["--hold-s", f"{hold_s}", "--distances-m", *distances]
+        return run_live(options, scene, [*zooming, *aim_arguments(options)])
+
     def turn_the_dial(time_s: float) -> None:
         camera.desired_distance_m = desired_at(time_s, hold_s)
 
     return record(options, camera, scripted_leader(options, scene), before_cycle=turn_the_dial)
-
-
-def _run_live(options: Options, scene: Scene, hold_s: float) -> RunRecord:
-    from deltaq_experiments.live import run_live
-
-    distances = [f"{distance:g}" for distance in DISTANCES_M]
-    zooming = ["--hold-s", f"{hold_s}", "--distances-m", *distances]
-    return run_live(options, scene, [*zooming, *aim_arguments(options)])
 
 
 def desired_at(time_s: float, hold_s: float) -> float:
@@ -164,10 +158,5 @@ def _panels(clock: Array, views: Views, hidden: Marks) -> tuple[FigurePanel, ...
         FigurePanel(
             "View angle error", "deg", (Curve("", clock, views.angle_deg),), (*marks, hidden), bound=1.0
         ),
-        FigurePanel(
-            "View distance",
-            "m",
-            (Curve("distance", clock, views.distance_m), Curve("desired", clock, views.desired_m, "--")),
-            marks,
-        ),
+        distance_panel(clock, views.distance_m, views.desired_m, marks),
     )

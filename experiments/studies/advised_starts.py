@@ -15,7 +15,7 @@ from functools import partial
 from itertools import combinations
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.advisor.advisor import Option, advise
@@ -33,10 +33,8 @@ BETTER = 0.01
 """An option improves if its energy is less than that of the start by more than this fraction."""
 
 
-class AdvisedStarts(BaseModel):
+class AdvisedStarts(BaseModel, frozen=True):
     """What the advisor made of some starts of a robot."""
-
-    model_config = ConfigDict(frozen=True)
 
     robot: str
     starts: int

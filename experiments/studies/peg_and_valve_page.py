@@ -1,24 +1,115 @@
 """Do the task over some seeds and write the page: `python -m studies.peg_and_valve_page --seeds 10`."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from deltaq_deploy.launch.program import run_program
 from deltaq_experiments.peg_and_valve import (
+    FIGURES,
     OFF_MM,
     OPERATORS,
     PEG_M,
     PLACED_M,
     TILT_DEG,
     ModeFigures,
+    by_mode,
     once,
 )
 from deltaq_experiments.peg_and_valve_operators import ACTION_S, NOISE, NOISE_MEMORY_S, REACTION_S, SLIP
-from deltaq_experiments.peg_and_valve_summary import CONCLUSIONS, FEW, FIGURES, MOST, by_mode
 
 PAGE = Path("docs/notes/modes-compared.md")
 SEEDS = 10
+MOST, FEW = 0.8, 0.2
+"""Shares of the seeds from which figures support a conclusion, and up to which they are against it."""
+
+Runs = Mapping[str, Sequence[ModeFigures]]
+
+
+@dataclass(frozen=True)
+class Conclusion:
+    """A conclusion of the paper, and a question about it that the figures answer.
+
+    Attributes:
+        said: the conclusion of Hooper and Noakes, section V.
+        asked: the question to the figures; empty if they do not concern it.
+        modes: the modes that the question compares.
+        holds: whether it holds for one seed, given the runs of these modes.
+    """
+
+    said: str
+    asked: str
+    modes: tuple[str, ...] = ()
+    holds: Callable[..., bool] = lambda *_: False
+
+    def counted(self, runs: Runs) -> tuple[int, int]:
+        """In how many seeds it holds, and of how many."""
+        seeds = [{run.seed: run for run in runs.get(mode, ())} for mode in self.modes]
+        common = set.intersection(*(set(known) for known in seeds)) if seeds else set()
+        return sum(self.holds(*(known[seed] for known in seeds)) for seed in common), len(common)
+
+    def verdict(self, runs: Runs) -> str:
+        """The answer of the figures to the question."""
+        if not self.asked:
+            return "not measured here"
+        held, of = self.counted(runs)
+        if not of:
+            return "not run"
+        share = held / of
+        word = "supported" if share >= MOST else "not supported" if share <= FEW else "undecided"
+        return f"{word}: in {held} of {of}"
+
+
+CONCLUSIONS = (
+    Conclusion(
+        "joint control is not suitable for precisely controlling the hand",
+        "is the peg farther off in `joint` than in any other mode?",
+        tuple(OPERATORS),
+        lambda joint, *others: joint.peg_off_mm > max(one.peg_off_mm for one in others),
+    ),
+    Conclusion(
+        "the same",
+        "does `joint` take more than twice as long as `decoupled`?",
+        ("joint", "decoupled"),
+        lambda joint, decoupled: joint.time_s > 2 * decoupled.time_s,
+    ),
+    Conclusion("joint control is best for leaving difficult configurations", ""),
+    Conclusion(
+        "decoupled control is best for transport and tool deployment",
+        "does `decoupled` reach hole and valve sooner than `coupled`?",
+        ("decoupled", "coupled"),
+        lambda decoupled, coupled: decoupled.reach_s < coupled.reach_s,
+    ),
+    Conclusion(
+        "self-motion allows for some optimization",
+        "is the margin to limits larger than in `decoupled` alone?",
+        ("self-motion", "decoupled"),
+        lambda moved, decoupled: moved.limit_margin > decoupled.limit_margin,
+    ),
+    Conclusion(
+        "the advisor is useful",
+        "is the margin larger than in `decoupled` alone, and than by `self-motion`?",
+        ("advisor", "decoupled", "self-motion"),
+        lambda advised, *others: advised.limit_margin > max(one.limit_margin for one in others),
+    ),
+    Conclusion("with limited information on where obstacles are", ""),
+    Conclusion(
+        "coupled control is the most efficient mode",
+        "is `coupled` done sooner than `decoupled`, `self-motion` and `advisor`?",
+        ("decoupled", "self-motion", "advisor", "coupled"),
+        lambda *runs: min(runs, key=lambda run: run.time_s).mode == "coupled",
+    ),
+    Conclusion(
+        "the same",
+        "is `coupled` within 15 % of `decoupled`'s time, with a larger margin to limits?",
+        ("coupled", "decoupled"),
+        lambda coupled, decoupled: (
+            coupled.time_s < 1.15 * decoupled.time_s and coupled.limit_margin > decoupled.limit_margin
+        ),
+    ),
+)
+"""Hooper and Noakes draw these from use of the modes, and print no figure."""
 
 
 BEFORE = f"""# The modes compared

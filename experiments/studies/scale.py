@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from deltaq_cell.load import load_cell
 from deltaq_deploy.launch.program import run_program
@@ -38,7 +38,7 @@ BEFORE_CYCLES = 20
 """At a plant's start, not measured: first calls take memory."""
 
 
-class ScaleRow(BaseModel):
+class ScaleRow(BaseModel, frozen=True):
     """One plant.
 
     Attributes:
@@ -52,8 +52,6 @@ class ScaleRow(BaseModel):
         ratio: median decision by the reference.
         cycle_share: of a cycle that its decisions take.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     robots: int
     bodies: int

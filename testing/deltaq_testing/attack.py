@@ -11,7 +11,7 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from deltaq_cell.robot import RobotModel
 from deltaq_emulator.faults import LinkFaults
@@ -121,10 +121,8 @@ _SEVERE = _Impairment(loss=0.3, duplicate=0.2, slow=0.4)
 _CUT = _Impairment(loss=1.0)
 
 
-class AttackViolation(BaseModel):
+class AttackViolation(BaseModel, frozen=True):
     """A cycle in which an invariant did not hold."""
-
-    model_config = ConfigDict(frozen=True)
 
     cycle: int
     what: str
@@ -132,10 +130,8 @@ class AttackViolation(BaseModel):
     bound: float
 
 
-class AttackReport(BaseModel):
+class AttackReport(BaseModel, frozen=True):
     """Outcome of an attack."""
-
-    model_config = ConfigDict(frozen=True)
 
     experiment: str = "attack"
     seed: int

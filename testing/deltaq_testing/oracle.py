@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
@@ -23,10 +23,8 @@ from deltaq_emulator.states import KrcState
 from deltaq_protocol.arrays import Array, Indices
 
 
-class LimitCounts(BaseModel):
+class LimitCounts(BaseModel, frozen=True):
     """How many joints of how many cycles were beyond a limit."""
-
-    model_config = ConfigDict(frozen=True)
 
     position_violations: int = 0
     velocity_violations: int = 0
@@ -43,10 +41,8 @@ class LimitCounts(BaseModel):
         return cls(**_added(counts))
 
 
-class GateCounts(BaseModel):
+class GateCounts(BaseModel, frozen=True):
     """Verdicts by outcome."""
-
-    model_config = ConfigDict(frozen=True)
 
     admitted: int = 0
     scaled: int = 0

@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from deltaq_deploy.launch.cell_connection import connect
 from deltaq_protocol.errors import DeltaqError
@@ -28,7 +28,7 @@ ROUND_S = 6.0
 _EVERY_S = 1.0
 
 
-class SoakSample(BaseModel):
+class SoakSample(BaseModel, frozen=True):
     """A moment.
 
     Attributes:
@@ -37,14 +37,12 @@ class SoakSample(BaseModel):
         latency_ms: from a question to the gate, over the HLI, to its answer; None where none came.
     """
 
-    model_config = ConfigDict(frozen=True)
-
     time_s: float
     memory_mb: dict[str, float]
     latency_ms: float | None
 
 
-class SoakRound(BaseModel):
+class SoakRound(BaseModel, frozen=True):
     """A fault and its effect.
 
     Attributes:
@@ -53,8 +51,6 @@ class SoakRound(BaseModel):
         clear, limits: findings of the independent checker.
         good: whether all checks passed.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     time_s: float
     fault: str

@@ -15,6 +15,8 @@ from deltaq_experiments.peg_and_valve import (
     PLACED_M,
     TILTED_RAD,
     ModeFigures,
+    by_mode,
+    distributions,
     goals,
     robot_for_the_task,
     run,
@@ -28,8 +30,8 @@ from deltaq_experiments.peg_and_valve_operators import (
     Person,
     Slip,
 )
-from deltaq_experiments.peg_and_valve_summary import CONCLUSIONS, by_mode, distributions
 from deltaq_protocol.driving import HAND_AXES, DrivingMode, OperatorCommand
+from studies.peg_and_valve_page import CONCLUSIONS
 
 CYCLE_S = 0.012
 STICK = dict.fromkeys(HAND_AXES, 0.1)

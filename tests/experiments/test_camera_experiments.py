@@ -20,7 +20,7 @@ from deltaq_experiments.collision import Pressing, attack_start
 from deltaq_experiments.figures import Curve, FigurePanel, Marks, draw
 from deltaq_experiments.options import Options
 from deltaq_experiments.scene import VIEW_DISTANCE_M, camera_controller, link_cycles, load, loop_latency_s
-from deltaq_experiments.seen import SeenRun
+from deltaq_experiments.seen import SeenRun, shares_of
 from deltaq_experiments.trace import Trace, reached_speed, time_to_stay_below
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
@@ -120,11 +120,11 @@ def test_visibility_is_reported_as_shares_of_the_time() -> None:
     outside = Visibility((True, False), ((), ()))
     clear = Visibility((True, True), ((), ()))
     looks = SeenRun(np.arange(5.0), [hidden, hidden, half, outside, clear])
-    told = looks.shares(settle_s=1.0)
+    told = shares_of(looks.settled(1.0))
     assert (told.by_all_eyes, told.by_one_eye, told.in_picture) == (0.25, 0.75, 0.75)
     assert told.blocked_by == {"gr": 0.25, "structure": 0.25}
     assert told.bodies == {"gr/finger": 0.25, "gr/thumb": 0.25, "structure/post": 0.25}
-    assert looks.shares(settle_s=9.0).by_all_eyes == 0.2, "of a shorter run all counts"
+    assert shares_of(looks.settled(9.0)).by_all_eyes == 0.2, "of a shorter run all counts"
     assert looks.hidden().holds.tolist() == [True, True, True, True, False]
 
 

@@ -140,8 +140,8 @@ def test_stamps_of_all_processes_are_sorted_by_robot() -> None:
         ]
     )
     assert set(found) == {"gr"}
-    assert found["gr"].states[StampStation.TELEGRAM] == {7: 100}
-    assert found["gr"].admissions[StampStation.ADMISSION_OUT] == {7: 200}
+    assert found["gr"].of_cycle[StampStation.TELEGRAM] == {7: 100}
+    assert found["gr"].of_cycle[StampStation.ADMISSION_OUT] == {7: 200}
 
 
 # --- braked cycles ------------------------------------------------------------------------------------------

@@ -20,9 +20,9 @@ import deltaq_services
 from deltaq_protocol import topics
 from deltaq_protocol.client import connect
 from deltaq_protocol.codec import pack
-from deltaq_services.counters import CONSOLE, COUNTERS, HLI, ROBOT_SERVER, SIM
 from deltaq_services.hli.shell import Hli
 from deltaq_services.metrics.shell import Delays, Exporter
+from reference_pages.counters import CONSOLE, COUNTERS, HLI, ROBOT_SERVER, SIM
 
 DASHBOARD = Path(__file__).parents[2] / "deploy" / "grafana" / "deltaq.json"
 
@@ -286,4 +286,4 @@ def test_every_counter_has_a_row_and_every_row_a_counter(service: str) -> None:
     sources = [file.read_text() for file in (SERVICES / service).glob("*.py")]
     in_code = {name for source in sources for name in counted(source)}
     in_table = {without_names(row.name) for row in COUNTERS if row.service == service}
-    assert in_code == in_table, "see deltaq_services/counters.py"
+    assert in_code == in_table, "see tools/reference_pages/counters.py"

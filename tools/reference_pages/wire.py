@@ -9,8 +9,8 @@ from deltaq_protocol import topics as table_of_topics
 from deltaq_protocol.messages import LeaseAction, Message, Outcome, Phase, Sight
 from deltaq_protocol.reasons import EXPLANATIONS
 from deltaq_protocol.topic import Realm, Topic
-from deltaq_services.counters import COUNTERS
 from deltaq_services.phases import MAY_MOVE, TRANSITIONS
+from reference_pages.counters import COUNTERS
 from reference_pages.markdown import fields, message_link, models, table
 
 _ENUMS = (Phase, Outcome, LeaseAction, Sight, audit.AuditKind, audit.AuditOutcome)

@@ -216,8 +216,16 @@ def _show(report: dict[str, Any]) -> None:
 
 
 def _peg_and_valve(cell: str, robot: str | None, mode: list[str] | None, seeds: int, json: bool) -> None:
-    from deltaq_experiments.peg_and_valve import OFF_MM, OPERATORS, TILT_DEG, robot_for_the_task, run
-    from deltaq_experiments.peg_and_valve_summary import FIGURES, by_mode, distributions
+    from deltaq_experiments.peg_and_valve import (
+        FIGURES,
+        OFF_MM,
+        OPERATORS,
+        TILT_DEG,
+        by_mode,
+        distributions,
+        robot_for_the_task,
+        run,
+    )
 
     robot = robot or robot_for_the_task(cell)
     with progress_bar("peg and valve") as move:

@@ -18,7 +18,7 @@ from typing import Any
 
 import msgpack
 import zenoh
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from deltaq_experiments.bench.hop_reference import processor_seconds, wakeups
 from deltaq_experiments.bench.live_figures import LiveRow, Quantiles, RobotFigures
@@ -47,7 +47,7 @@ class BareChainError(DeltaqError):
     """A process of the chain ended before its time, or did not serve."""
 
 
-class BareChain(BaseModel):
+class BareChain(BaseModel, frozen=True):
     """Cost of the reference chain.
 
     Attributes:
@@ -56,8 +56,6 @@ class BareChain(BaseModel):
         age_p50_ms, age_p99_ms: from a state to its admission, of all robots [ms].
         in_time: share of states whose admission came at all, once the first had come.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     processor_us: dict[str, float]
     wakeups: dict[str, float]

@@ -6,6 +6,7 @@ before the next one belongs to it; the cycle whose setpoint it goes into joins i
 """
 
 from bisect import bisect_left
+from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -26,41 +27,30 @@ class RobotStamps:
     """All stamps of one robot.
 
     Attributes:
-        states: time of each cycle at each station of a state [ns].
-        increments: time of each (cycle, sequence number) at each station of an increment [ns].
-        decisions: time of each (cycle, sequence number) at each station of a decision [ns].
-        admissions: time of each admission, by the cycle before that of its setpoint, at each station of one [ns].
+        of_cycle: time of each cycle at the stations of a state and of an admission [ns]; an admission is stamped with
+            the cycle before that of its setpoint.
+        of_number: time of each (cycle, sequence number) at the stations of an increment and of a decision [ns].
         outcomes: kind of setpoint in each cycle.
     """
 
-    states: dict[StampStation, dict[int, int]] = field(default_factory=lambda: {s: {} for s in OF_STATE})
-    increments: dict[StampStation, dict[tuple[int, int], int]] = field(
-        default_factory=lambda: {s: {} for s in OF_INCREMENT}
-    )
-    decisions: dict[StampStation, dict[tuple[int, int], int]] = field(
-        default_factory=lambda: {s: {} for s in OF_DECISION}
-    )
-    admissions: dict[StampStation, dict[int, int]] = field(
-        default_factory=lambda: {s: {} for s in OF_ADMISSION}
+    of_cycle: dict[StampStation, dict[int, int]] = field(default_factory=lambda: defaultdict(dict))
+    of_number: dict[StampStation, dict[tuple[int, int], int]] = field(
+        default_factory=lambda: defaultdict(dict)
     )
     outcomes: dict[int, CycleOutcome] = field(default_factory=dict)
 
     def add(self, station: StampStation, cycle: int, detail: int, time_ns: int) -> None:
         """Add a stamp; of two of one kind the first counts."""
-        if station in self.states:
-            self.states[station].setdefault(cycle, time_ns)
-            if station is StampStation.STATE_OUT:
-                self.outcomes.setdefault(cycle, CycleOutcome(detail))
-        elif station in self.increments:
-            self.increments[station].setdefault((cycle, detail), time_ns)
-        elif station in self.decisions:
-            self.decisions[station].setdefault((cycle, detail), time_ns)
-        else:
-            self.admissions[station].setdefault(cycle, time_ns)
+        if station in (*OF_INCREMENT, *OF_DECISION):
+            self.of_number[station].setdefault((cycle, detail), time_ns)
+            return
+        self.of_cycle[station].setdefault(cycle, time_ns)
+        if station is StampStation.STATE_OUT:
+            self.outcomes.setdefault(cycle, CycleOutcome(detail))
 
     def cycles_in(self, begin_ns: int, end_ns: int) -> list[int]:
         """Cycles whose telegram came within a window, in order."""
-        telegrams = self.states[StampStation.TELEGRAM]
+        telegrams = self.of_cycle[StampStation.TELEGRAM]
         return sorted(cycle for cycle, at_ns in telegrams.items() if begin_ns <= at_ns < end_ns)
 
 
@@ -111,7 +101,7 @@ def journeys_of(stamps: RobotStamps, cycles: Iterable[int], lookahead_cycles: in
     """Every increment that answers one of these cycles."""
     answered = set(cycles)
     decided_on, placed = _decided_on(stamps), goes_after(stamps, lookahead_cycles)
-    keys = {key for station in OF_INCREMENT for key in stamps.increments[station] if key[0] in answered}
+    keys = {key for station in OF_INCREMENT for key in stamps.of_number[station] if key[0] in answered}
     return [_journey(stamps, *key, decided_on.get(key), placed) for key in sorted(keys)]
 
 
@@ -122,13 +112,13 @@ def _journey(
     decided_on: int | None,
     placed: dict[tuple[int, int], int],
 ) -> Journey:
-    passed = [(s, stamps.states[s].get(cycle)) for s in OF_STATE]
-    passed += [(s, stamps.increments[s].get((cycle, seq))) for s in OF_INCREMENT]
+    passed = [(s, stamps.of_cycle[s].get(cycle)) for s in OF_STATE]
+    passed += [(s, stamps.of_number[s].get((cycle, seq))) for s in OF_INCREMENT]
     setpoint_cycle = None
     if decided_on is not None:
-        passed += [(s, stamps.decisions[s].get((decided_on, seq))) for s in OF_DECISION]
+        passed += [(s, stamps.of_number[s].get((decided_on, seq))) for s in OF_DECISION]
         if (before := placed.get((decided_on, seq))) is not None:
-            passed += [(s, stamps.admissions[s].get(before)) for s in OF_ADMISSION]
+            passed += [(s, stamps.of_cycle[s].get(before)) for s in OF_ADMISSION]
             setpoint_cycle = before + 1
     at_ns = {s: at_ns for s, at_ns in passed if at_ns is not None}
     return Journey(cycle, seq, decided_on, setpoint_cycle, at_ns)
@@ -136,9 +126,9 @@ def _journey(
 
 def goes_after(stamps: RobotStamps, lookahead_cycles: int) -> dict[tuple[int, int], int]:
     """By decision (cycle of the state, sequence number), the cycle before that of its setpoint."""
-    out = sorted((at_ns, cycle) for cycle, at_ns in stamps.admissions[StampStation.ADMISSION_OUT].items())
-    begun = sorted((at_ns, key) for key, at_ns in stamps.decisions[StampStation.DECISION_BEGUN].items())
-    at_server = stamps.admissions[StampStation.ADMISSION_AT_SERVER]
+    out = sorted((at_ns, cycle) for cycle, at_ns in stamps.of_cycle[StampStation.ADMISSION_OUT].items())
+    begun = sorted((at_ns, key) for key, at_ns in stamps.of_number[StampStation.DECISION_BEGUN].items())
+    at_server = stamps.of_cycle[StampStation.ADMISSION_AT_SERVER]
     found: dict[tuple[int, int], int] = {}
     for index, (begun_ns, key) in enumerate(begun):
         end_ns = begun[index + 1][0] if index + 1 < len(begun) else None
@@ -146,7 +136,7 @@ def goes_after(stamps: RobotStamps, lookahead_cycles: int) -> dict[tuple[int, in
         usual = key[0] + lookahead_cycles - 1
         if first < len(out) and (end_ns is None or out[first][0] < end_ns):
             found[key] = out[first][1]
-        elif usual in at_server and usual not in stamps.admissions[StampStation.ADMISSION_OUT]:
+        elif usual in at_server and usual not in stamps.of_cycle[StampStation.ADMISSION_OUT]:
             found[key] = usual  # the stamp of its going out was lost
     return found
 
@@ -157,10 +147,10 @@ def _decided_on(stamps: RobotStamps) -> dict[tuple[int, int], int]:
     Sequence numbers restart with each lease, so a decision belongs to the last request of its number before it.
     """
     requests: dict[int, list[tuple[int, int]]] = {}
-    for (cycle, seq), at_ns in stamps.increments[StampStation.REQUEST_AT_GATE].items():
+    for (cycle, seq), at_ns in stamps.of_number[StampStation.REQUEST_AT_GATE].items():
         requests.setdefault(seq, []).append((at_ns, cycle))
     found = {}
-    for (decided_on, seq), begun_ns in stamps.decisions[StampStation.DECISION_BEGUN].items():
+    for (decided_on, seq), begun_ns in stamps.of_number[StampStation.DECISION_BEGUN].items():
         before = [(at_ns, cycle) for at_ns, cycle in requests.get(seq, []) if at_ns <= begun_ns]
         if before:
             found[max(before)[1], seq] = decided_on

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from deltaq_cell.description import CellDescription
 from deltaq_cell.load import load_cell
@@ -56,7 +56,7 @@ class LiveOptions:
     duration_s: float
 
 
-class LiveRun(BaseModel):
+class LiveRun(BaseModel, frozen=True):
     """The figures of one run.
 
     Attributes:
@@ -69,8 +69,6 @@ class LiveRun(BaseModel):
         silent: processes without stamps; their stations are missing.
         overwritten: stamps that were lost because a ring was full.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     robots: dict[str, RobotFigures]
     processor_us: dict[str, float]

@@ -9,16 +9,23 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from enum import StrEnum
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from deltaq_experiments.bench.hop_reference import HOPS, HopTimes
-from deltaq_experiments.bench.journeys import Journey, RobotStamps, goes_after, journeys, journeys_of
+from deltaq_experiments.bench.journeys import (
+    OF_INCREMENT,
+    Journey,
+    RobotStamps,
+    goes_after,
+    journeys,
+    journeys_of,
+)
 from deltaq_protocol.stamps import CycleOutcome, StampStation
 
 # Ages and durations as p50, p99, p99.9 and the longest.
 
 
-class Quantiles(BaseModel):
+class Quantiles(BaseModel, frozen=True):
     """A distribution in four figures, by nearest rank; all None where nothing was measured.
 
     Attributes:
@@ -28,8 +35,6 @@ class Quantiles(BaseModel):
         p99_9: the value that 99.9 % of them do not exceed; with fewer than a thousand it is the longest.
         longest: the greatest of them.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     count: int
     p50: float | None
@@ -107,7 +112,7 @@ class _Blame:
 
     def __init__(self, stamps: RobotStamps, lookahead_cycles: int) -> None:
         self._stamps, self._ahead = stamps, lookahead_cycles
-        answered = {cycle for times in stamps.increments.values() for cycle, _ in times}
+        answered = {cycle for station in OF_INCREMENT for cycle, _ in stamps.of_number[station]}
         self._by_setpoint: dict[int, Journey] = {}
         self._by_cycle: dict[int, list[Journey]] = {}
         for journey in journeys_of(stamps, answered, lookahead_cycles):
@@ -115,7 +120,7 @@ class _Blame:
             if journey.setpoint_cycle is not None:
                 self._by_setpoint[journey.setpoint_cycle] = journey
         self._setpoints = sorted(self._by_setpoint)
-        decided = stamps.decisions[StampStation.DECIDED]
+        decided = stamps.of_number[StampStation.DECIDED]
         self._decided_ns = {
             before + 1: decided.get(decision, 0)
             for decision, before in goes_after(stamps, lookahead_cycles).items()
@@ -135,7 +140,7 @@ class _Blame:
         return self._of_increment(cycle)
 
     def _was_admitted(self, cycle: int) -> bool:
-        return cycle - 1 in self._stamps.admissions[StampStation.ADMISSION_OUT]
+        return cycle - 1 in self._stamps.of_cycle[StampStation.ADMISSION_OUT]
 
     def _broke_at(self, cycle: int) -> bool:
         """Whether a setpoint was missed though there was an admission for it."""
@@ -143,8 +148,8 @@ class _Blame:
         return not is_fresh and self._was_admitted(cycle)
 
     def _of_admission(self, cycle: int) -> BrakeCause:
-        due_ns = self._stamps.states[StampStation.TELEGRAM][cycle]
-        came_ns = self._stamps.admissions[StampStation.ADMISSION_AT_SERVER].get(cycle - 1)
+        due_ns = self._stamps.of_cycle[StampStation.TELEGRAM][cycle]
+        came_ns = self._stamps.of_cycle[StampStation.ADMISSION_AT_SERVER].get(cycle - 1)
         if came_ns is None:
             return BrakeCause.ADMISSION_LOST
         if self._decided_ns.get(cycle, 0) >= due_ns:
@@ -153,12 +158,12 @@ class _Blame:
 
     def _of_increment(self, cycle: int) -> BrakeCause:
         answered = self._answered_by(cycle)
-        due_ns = self._stamps.states[StampStation.TELEGRAM][cycle]
+        due_ns = self._stamps.of_cycle[StampStation.TELEGRAM][cycle]
         increments = self._by_cycle.get(answered, [])
         if any(one.decided_on is not None and one.setpoint_cycle is None for one in increments):
             return BrakeCause.GATE_HELD
         if not any(StampStation.INCREMENT_OUT in one.at_ns for one in increments):
-            was_seen = answered in self._stamps.states[StampStation.STATE_AT_CLIENT]
+            was_seen = answered in self._stamps.of_cycle[StampStation.STATE_AT_CLIENT]
             return BrakeCause.NO_INCREMENT if was_seen else BrakeCause.STATE_MISSED
         for station, cause in (
             (StampStation.INCREMENT_OUT, BrakeCause.CLIENT_LATE),
@@ -201,11 +206,7 @@ NAMES = {
 """Names of the stations in reports, in their order; ages count from the KRC's telegram."""
 
 
-class _Frozen(BaseModel):
-    model_config = ConfigDict(frozen=True)
-
-
-class StationAges(_Frozen):
+class StationAges(BaseModel, frozen=True):
     """Ages of a robot's increments at one station.
 
     Attributes:
@@ -227,7 +228,7 @@ class StationAges(_Frozen):
     ratio_p99: float | None
 
 
-class RobotFigures(_Frozen):
+class RobotFigures(BaseModel, frozen=True):
     """Figures of one robot in the measured window.
 
     Attributes:
@@ -249,7 +250,7 @@ class RobotFigures(_Frozen):
     longest_client_cycle_ms: float | None
 
 
-class LiveRow(_Frozen):
+class LiveRow(BaseModel, frozen=True):
     """One figure beside the reference of the same run, and its bound.
 
     Attributes:
@@ -388,7 +389,7 @@ def _station(station: StampStation, travelled: Sequence[Journey], reference: Hop
 
 def _longest_client_cycle_ms(stamps: RobotStamps, begin_ns: int, end_ns: int) -> float | None:
     taken = sorted(
-        at for at in stamps.states[StampStation.STATE_AT_CLIENT].values() if begin_ns <= at < end_ns
+        at for at in stamps.of_cycle[StampStation.STATE_AT_CLIENT].values() if begin_ns <= at < end_ns
     )
     gaps = [after - before for before, after in itertools.pairwise(taken)]
     return max(gaps) / 1e6 if gaps else None

@@ -11,7 +11,6 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from socket import AF_INET, SOCK_DGRAM, SOCK_STREAM, socket
 
 import numpy as np
 
@@ -31,6 +30,7 @@ from deltaq_protocol.rsi import AxisMap, KrcCodec, KrcReport, load_ethernet_xml
 from deltaq_protocol.sayings import SIM, robot_server
 from deltaq_protocol.session import declare_publisher, open_session
 from deltaq_services.guarded_realm import guarded_links
+from deltaq_testing.private_cell import free_ports
 from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 
 _FIRST_IPOC = 4_200_000
@@ -179,10 +179,7 @@ def _gate(cell: CellDescription) -> Iterator[None]:
 
 def _private(folder: Path) -> Path:
     """The cell on ports of its own, so that one that is up is not disturbed."""
-    with socket(AF_INET, SOCK_STREAM) as tcp, socket(AF_INET, SOCK_DGRAM) as udp:
-        tcp.bind(("127.0.0.1", 0))
-        udp.bind(("127.0.0.1", 0))
-        server, port = tcp.getsockname()[1], udp.getsockname()[1]
+    server, port = free_ports(2)
     file = folder / "private.yaml"
     file.write_text(
         f"extends: {CELL}\n"

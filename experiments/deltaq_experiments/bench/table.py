@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 
-class BenchRow(BaseModel):
+class BenchRow(BaseModel, frozen=True):
     """One figure beside its reference.
 
     Each ratio is one by one: median by median, p99 by p99, p99.9 by p99.9, longest by longest.
@@ -16,8 +16,6 @@ class BenchRow(BaseModel):
     Attributes:
         kept: whether every bound is kept; None without bounds.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     what: str
     reference: str
@@ -75,10 +73,8 @@ class BenchRow(BaseModel):
         return {name: (ratio, bound) for name, (ratio, bound) in named.items() if bound is not None}
 
 
-class BenchTable(BaseModel):
+class BenchTable(BaseModel, frozen=True):
     """All figures of one run."""
-
-    model_config = ConfigDict(frozen=True)
 
     rows: tuple[BenchRow, ...]
 

@@ -17,7 +17,7 @@ from deltaq_protocol.audit import AuditKind
 from deltaq_protocol.client import Cell, connect
 from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
 from deltaq_protocol.messages import Phase, RobotStatus, Status
-from deltaq_services.counters import HLI, ROBOT_SERVER, SIM
+from deltaq_protocol.sayings import HLI, SIM
 
 # Delays between a robot's states and their verdicts.
 
@@ -161,7 +161,7 @@ def _of_cell(status: Status) -> Iterator[Metric]:
 def _counted(status: Status) -> list[tuple[str, str, Mapping[str, int]]]:
     """What each service counts: its name, its robot if it has one, and its counters."""
     services: list[tuple[str, str, Mapping[str, int]]] = [(HLI, "", status.hli), (SIM, "", status.gate)]
-    return services + [(ROBOT_SERVER, name, robot.counters) for name, robot in status.robots.items()]
+    return services + [("robot_server", name, robot.counters) for name, robot in status.robots.items()]
 
 
 def _endings(counters: Mapping[str, int], prefix: str) -> list[tuple[str, int]]:

@@ -5,7 +5,7 @@ dies or freezes does so live, too. A live wire between processes is impaired by 
 cores are in virtual time.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
@@ -215,52 +215,42 @@ def _wire(name: str, what: str, **faults: Any) -> Fault:
     return Fault(name, what, AskPanel({"op": "fault", **faults}), _NO_MORE_FAULTS)
 
 
-def _streams() -> tuple[Fault, ...]:
-    kinds = (
-        ("stalled", "stalls, and then delivers everything at once", StreamFaults(stalled=True)),
-        ("broken", "is broken and refused again and again", StreamFaults(cut=True)),
-    )
-    return tuple(
-        Fault(f"{link}-{kind}", f"the connection {link} {what}", ImpairStream(link, faults))
-        for link in _BETWEEN_PROCESSES
-        for kind, what, faults in kinds
-    )
+def _impaired(
+    links: Iterable[Link],
+    told: str,
+    impair: Callable[[Link, Any], Action],
+    kinds: Mapping[str, tuple[str, Any]],
+) -> Iterator[Fault]:
+    """A fault for each link and each kind of fault on it."""
+    for link in links:
+        for kind, (what, faults) in kinds.items():
+            yield Fault(f"{link}-{kind}", f"{told.format(link)} {what}", impair(link, faults))
 
 
-def _links() -> tuple[Fault, ...]:
-    kinds = (
-        ("cut", "carries nothing", LinkFaults(drop=1.0)),
-        ("lossy", "loses 30 %", LinkFaults(drop=0.3)),
-        ("delayed", "takes 30 ms, ± 20 ms", LinkFaults(delay_s=0.01, jitter_s=0.04)),
-        ("duplicating", "duplicates half", LinkFaults(duplicate=0.5)),
-        ("reordering", "reorders 30 %", LinkFaults(reorder=0.3)),
-    )
-    return tuple(
-        Fault(f"{link}-{kind}", f"the wire {link} {what}", Impair(link, faults))
-        for link in _BETWEEN_PROCESSES
-        for kind, what, faults in kinds
-    )
-
-
-def _datagrams() -> tuple[Fault, ...]:
-    link = Link.KRC_SERVER
-    kinds = (
-        ("cut", "carries nothing", LinkFaults(drop=1.0)),
-        ("lossy", "loses 30 %", LinkFaults(drop=0.3)),
-        ("slow", "takes 2 ms each way", LinkFaults(delay_s=0.002)),
-        ("late", "takes 8 ms each way", LinkFaults(delay_s=0.008)),
-        ("jittery", "takes up to 12 ms each way", LinkFaults(jitter_s=0.012)),
-        ("duplicating", "duplicates half", LinkFaults(duplicate=0.5)),
-        ("reordering", "reorders 30 %", LinkFaults(reorder=0.3)),
-        ("garbling", "garbles 30 %", LinkFaults(corrupt=0.3)),
-        ("truncating", "truncates 30 %", LinkFaults(truncate=0.3)),
-        ("misspelling", "changes one digit in 30 %", LinkFaults(flip=0.3)),
-    )
-    return tuple(
-        Fault(f"{link}-{kind}", f"a relay on RSI's wire {what}", Impair(link, faults))
-        for kind, what, faults in kinds
-    )
-
+_SHARED = {"cut": ("carries nothing", LinkFaults(drop=1.0)), "lossy": ("loses 30 %", LinkFaults(drop=0.3))}
+_MANIFOLD = {
+    "duplicating": ("duplicates half", LinkFaults(duplicate=0.5)),
+    "reordering": ("reorders 30 %", LinkFaults(reorder=0.3)),
+}
+_MESSAGES = {
+    **_SHARED,
+    "delayed": ("takes 30 ms, ± 20 ms", LinkFaults(delay_s=0.01, jitter_s=0.04)),
+    **_MANIFOLD,
+}
+_STREAMS = {
+    "stalled": ("stalls, and then delivers everything at once", StreamFaults(stalled=True)),
+    "broken": ("is broken and refused again and again", StreamFaults(cut=True)),
+}
+_DATAGRAMS = {
+    **_SHARED,
+    "slow": ("takes 2 ms each way", LinkFaults(delay_s=0.002)),
+    "late": ("takes 8 ms each way", LinkFaults(delay_s=0.008)),
+    "jittery": ("takes up to 12 ms each way", LinkFaults(jitter_s=0.012)),
+    **_MANIFOLD,
+    "garbling": ("garbles 30 %", LinkFaults(corrupt=0.3)),
+    "truncating": ("truncates 30 %", LinkFaults(truncate=0.3)),
+    "misspelling": ("changes one digit in 30 %", LinkFaults(flip=0.3)),
+}
 
 CATALOGUE: tuple[Fault, ...] = (
     Fault("operator-stop", "an operator presses stop", PressStop()),
@@ -307,9 +297,9 @@ CATALOGUE: tuple[Fault, ...] = (
     Fault("recorder-dead", "kill -9 of the recorder", Kill(Process.RECORDER)),
     Fault("recorder-frozen", "SIGSTOP of the recorder", Freeze(Process.RECORDER)),
     Fault("recorder-disk-full", "the recorder's disk is full", FillDisk()),
-    *_links(),
-    *_streams(),
-    *_datagrams(),
+    *_impaired(_BETWEEN_PROCESSES, "the wire {}", Impair, _MESSAGES),
+    *_impaired(_BETWEEN_PROCESSES, "the connection {}", ImpairStream, _STREAMS),
+    *_impaired((Link.KRC_SERVER,), "a relay on RSI's wire", Impair, _DATAGRAMS),
     _wire("krc-cut", "nothing passes between KRC and Robot Server", drop=1.0),
     _wire("krc-telegrams-lost", "30 % of the KRC's telegrams are lost", link="to_pc", drop=0.3),
     _wire("krc-replies-lost", "30 % of the replies to the KRC are lost", link="from_pc", drop=0.3),

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_deploy.launch.cell_connection import connect
@@ -159,15 +159,13 @@ def must_have(cell: CellDescription, robot: str | None) -> None:
         raise UnknownFaultError(f"no robot {robot!r} in cell {cell.cell}; it has {', '.join(cell.robots)}")
 
 
-class Injected(BaseModel):
+class Injected(BaseModel, frozen=True):
     """The result of an injected fault: the robot at its end.
 
     Attributes:
         phase, reason: as the HLI shows them while the fault stands.
         krc_state, krc_message: of the emulated controller.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     fault: str
     robot: str

@@ -1,7 +1,7 @@
 """The effect of a fault, from the emulated controller's own record of setpoints."""
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from deltaq_cell.robot import RobotModel
 from deltaq_protocol.arrays import Array
@@ -20,7 +20,7 @@ def recovery_text(steps: list[str]) -> str:
     return ", ".join(steps) or BY_ITSELF
 
 
-class StoppingMotion(BaseModel):
+class StoppingMotion(BaseModel, frozen=True):
     """How a robot moved from the cycle of a fault on.
 
     Attributes:
@@ -30,15 +30,13 @@ class StoppingMotion(BaseModel):
         travel_tool_m: path of the tool until rest; None if it moved to the end.
     """
 
-    model_config = ConfigDict(frozen=True)
-
     braked_after_cycles: int | None
     rest_after_s: float | None
     travel_rad: float | None
     travel_tool_m: float | None
 
 
-class Kept(BaseModel):
+class Kept(BaseModel, frozen=True):
     """Limits and distances over a whole run, start and recovery included.
 
     Attributes:
@@ -55,8 +53,6 @@ class Kept(BaseModel):
         protest: message with which the KRC refused a setpoint; None if it accepted all.
     """
 
-    model_config = ConfigDict(frozen=True)
-
     position_violations: int
     velocity_violations: int
     unanswered_cycles: int
@@ -68,7 +64,7 @@ class Kept(BaseModel):
     protest: str | None
 
 
-class FaultEffect(BaseModel):
+class FaultEffect(BaseModel, frozen=True):
     """One fault and its effect.
 
     Attributes:
@@ -78,8 +74,6 @@ class FaultEffect(BaseModel):
         good: no limit passed, nothing refused by the KRC, no unexplained abrupt cycle, stop distances kept, and it
             moved again.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     fault: str
     what: str
@@ -93,10 +87,8 @@ class FaultEffect(BaseModel):
     good: bool
 
 
-class FaultTable(BaseModel):
+class FaultTable(BaseModel, frozen=True):
     """The table of faults."""
-
-    model_config = ConfigDict(frozen=True)
 
     cell: str
     robot: str

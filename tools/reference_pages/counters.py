@@ -4,8 +4,6 @@ The reference is written from it; a test fails if a counter has no row. Braces m
 in: such a name is one row. Counts run from the start of the process.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 HLI = "hli"
