@@ -111,6 +111,11 @@ class Led:
         return found[0], found[1]
 
 
+@pytest.fixture
+def led() -> Led:
+    return Led()
+
+
 # --- what must not move ---------------------------------------------------------------------------------------
 
 
@@ -120,8 +125,7 @@ def test_a_robot_cannot_lead_itself() -> None:
         Master(operator, model("gr"), lambda: (None, None), 1.0)
 
 
-def test_an_uncoupled_or_silent_master_moves_nothing() -> None:
-    led = Led()
+def test_an_uncoupled_or_silent_master_moves_nothing(led: Led) -> None:
     led.clutch.is_clutched = False
     assert led.drive(0.5, x=0.1) == OperatorCommand()
     assert "fr is not coupled" in led.input.status
@@ -130,14 +134,12 @@ def test_an_uncoupled_or_silent_master_moves_nothing() -> None:
     assert "sends no state" in unseen.status
 
 
-def test_the_executed_fraction_is_felt_at_the_coupling_device() -> None:
-    led = Led()
+def test_the_executed_fraction_is_felt_at_the_coupling_device(led: Led) -> None:
     led.input.reflect(0.25)
     assert led.clutch.felt == [0.25]
 
 
-def test_a_silent_master_means_rest_until_it_is_coupled_again() -> None:
-    led = Led()
+def test_a_silent_master_means_rest_until_it_is_coupled_again(led: Led) -> None:
     assert led.drive(0.5, x=0.1).rates["x"] > 0.03
     led.is_seen = False
     led.drive(STALE_S + 0.1, x=0.1)
@@ -149,8 +151,7 @@ def test_a_silent_master_means_rest_until_it_is_coupled_again() -> None:
     assert led.drive(0.5, x=0.1).rates["x"] > 0.03
 
 
-def test_a_master_in_motion_leads_nothing_until_it_was_at_rest() -> None:
-    led = Led()
+def test_a_master_in_motion_leads_nothing_until_it_was_at_rest(led: Led) -> None:
     led.input = LedInput(led.clutch, Master(led.slave.teleoperator, led.leader.robot, led._look, 1.0))
     for is_clutched in (False, True, False, True):
         led.clutch.is_clutched = is_clutched
@@ -162,24 +163,21 @@ def test_a_master_in_motion_leads_nothing_until_it_was_at_rest() -> None:
     assert led.drive(0.5, x=0.1).rates["x"] > 0.03
 
 
-def test_a_master_that_jumps_is_uncoupled() -> None:
-    led = Led()
+def test_a_master_that_jumps_is_uncoupled(led: Led) -> None:
     led.drive(0.3, x=0.1)
     led.leader.now = led.leader.now + 0.5
     assert led.read().rates == {}
     assert "jumped: couple it again" in led.input.status
 
 
-def test_a_mode_without_hands_is_not_led() -> None:
-    led = Led()
+def test_a_mode_without_hands_is_not_led(led: Led) -> None:
     led.slave = PlainDrive("gr", DrivingMode.JOINT)
     led.input = LedInput(led.clutch, Master(led.slave.teleoperator, led.leader.robot, led._look, 1.0))
     assert led.drive(0.2, x=0.1) == OperatorCommand(led="")
     assert "leads no hand in mode joint" in led.input.status
 
 
-def test_only_the_device_ends_the_drive() -> None:
-    led = Led()
+def test_only_the_device_ends_the_drive(led: Led) -> None:
     led.clutch.command = None
     assert led.input.read(0.0) is None
 

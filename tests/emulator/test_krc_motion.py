@@ -83,8 +83,7 @@ def test_a_software_limit_switch_stops_the_robot_short_of_it(direction: float, t
     assert -100.001 < np.rad2deg(bench.krc.sample.q_setpoint[1]) < 90.001
 
 
-def test_a_step_at_standstill_ends_in_command_gear_torque() -> None:
-    bench = Bench()
+def test_a_step_at_standstill_ends_in_command_gear_torque(bench: Bench) -> None:
     bench.cycle()
     bench.cycle([0.0, 0.0, 0.0, math.radians(1.54), 0.0, 0.0])
     assert bench.krc.tick() is None
@@ -100,8 +99,7 @@ def test_a_lasting_acceleration_beyond_the_gear_limit_ends_in_command_gear_torqu
         assert ("Command gear torque A6" in str(bench.krc.message)) is stops
 
 
-def test_motion_beyond_the_axis_speed_ends_in_maximum_kinetic_energy() -> None:
-    bench = Bench()
+def test_motion_beyond_the_axis_speed_ends_in_maximum_kinetic_energy(bench: Bench) -> None:
     speeds = [10.0 * CYCLE_S * k for k in range(200)]
     angles = np.cumsum(speeds) * CYCLE_S
     sent = bench.drive([0.0] * 5 + [angle] for angle in angles)
@@ -211,8 +209,7 @@ def test_digital_inputs_are_read_and_outputs_are_set_and_held() -> None:
         assert bench.krc.outputs == {"gripper": bool(hold_on)}
 
 
-def test_text_of_the_pc_appears_on_the_pendant() -> None:
-    bench = Bench()
+def test_text_of_the_pc_appears_on_the_pendant(bench: Bench) -> None:
     ipoc = bench.pc.decode(bench.krc.tick() or b"").ipoc
     bench.krc.receive(bench.reply(ipoc).replace(b"<EStr></EStr>", b"<EStr>held</EStr>"))
     bench.krc.tick()

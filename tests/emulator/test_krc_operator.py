@@ -131,8 +131,7 @@ def test_restarting_a_running_program_waits_until_the_robot_rests() -> None:
     assert bench.krc.sample.q == pytest.approx(before, abs=2e-5)
 
 
-def test_turning_the_key_stops_the_program_with_a_message() -> None:
-    bench = Bench()
+def test_turning_the_key_stops_the_program_with_a_message(bench: Bench) -> None:
     bench.cycle()
     bench.krc.set_mode(OperatingMode.T1)
     assert bench.krc.mode is OperatingMode.T1
@@ -141,8 +140,7 @@ def test_turning_the_key_stops_the_program_with_a_message() -> None:
     assert bench.krc.tick() is None
 
 
-def test_a_program_does_not_start_without_drives() -> None:
-    bench = Bench()
+def test_a_program_does_not_start_without_drives(bench: Bench) -> None:
     bench.krc.set_drives(False)
     assert bench.krc.state is KrcState.DRIVES_OFF
     assert bench.krc.tick() is None
@@ -153,8 +151,7 @@ def test_a_program_does_not_start_without_drives() -> None:
     assert bench.silent(START_CYCLES) is not None
 
 
-def test_a_frozen_controller_is_silent_while_its_time_advances() -> None:
-    bench = Bench()
+def test_a_frozen_controller_is_silent_while_its_time_advances(bench: Bench) -> None:
     before = bench.cycle(0.001).ipoc
     bench.krc.freeze(5)
     assert [bench.krc.tick() for _ in range(5)] == [None] * 5
@@ -163,8 +160,7 @@ def test_a_frozen_controller_is_silent_while_its_time_advances() -> None:
 
 
 @pytest.mark.parametrize("shift_ms", [-24, 1200])
-def test_an_injected_jump_changes_the_time_stamp(shift_ms: int) -> None:
-    bench = Bench()
+def test_an_injected_jump_changes_the_time_stamp(bench: Bench, shift_ms: int) -> None:
     before = bench.cycle().ipoc
     bench.krc.shift_ipoc(shift_ms)
     assert bench.cycle().ipoc == before + 12 + shift_ms
@@ -191,8 +187,7 @@ def test_the_panel_shows_every_state_and_obeys_the_operator() -> None:
     assert bench.silent(START_CYCLES) is not None
 
 
-def test_the_panel_sets_and_clears_faults() -> None:
-    bench = Bench()
+def test_the_panel_sets_and_clears_faults(bench: Bench) -> None:
     panel = make_panel(bench)
     faults = ask(panel, op="fault", link="from_pc", drop=0.5, delay_s=0.002)["faults"]
     assert (faults["from_pc"]["drop"], faults["from_pc"]["delay_s"]) == (0.5, 0.002)
@@ -263,8 +258,7 @@ def test_rest_is_awaited_until_the_drives_have_caught_up() -> None:
     assert arrived[0]["q"] == pytest.approx([0.001] * 6, abs=2e-5)
 
 
-def test_a_timeout_is_reported_with_the_present_state() -> None:
-    bench = Bench()
+def test_a_timeout_is_reported_with_the_present_state(bench: Bench) -> None:
     panel = make_panel(bench)
     never = later(panel, state="drives off", within_s=0.03)
     for _ in range(3):
@@ -362,8 +356,7 @@ def test_a_controller_accepts_only_its_own_cycle_times() -> None:
         profile_for("krc5", 0.004)
 
 
-def test_a_record_can_be_read_while_it_grows(tmp_path: Path) -> None:
-    bench = Bench()
+def test_a_record_can_be_read_while_it_grows(bench: Bench, tmp_path: Path) -> None:
     recorder = CsvRecorder(0.012, 6)
     recorder.row(bench.krc.sample)
     recorder.start(tmp_path / "run.csv")

@@ -65,8 +65,7 @@ def test_telegrams_are_exchanged_and_corrections_ignored_until_the_ended_motion_
     assert bench.krc.sample.message is not None
 
 
-def test_stop_ends_the_motion_on_its_rising_edge_only() -> None:
-    bench = Bench()
+def test_stop_ends_the_motion_on_its_rising_edge_only(bench: Bench) -> None:
     bench.cycle(stop=True)
     bench.krc.tick()
     assert bench.krc.state is KrcState.READY  # it stood still, and the program came to its end at once
@@ -93,8 +92,7 @@ def test_a_set_stop_rises_again_only_if_a_lost_telegram_resets_it(hold_on: int, 
     assert (bench.krc.state is KrcState.READY) is ends
 
 
-def test_a_reply_without_the_element_keeps_the_stop_signal() -> None:
-    bench = Bench()
+def test_a_reply_without_the_element_keeps_the_stop_signal(bench: Bench) -> None:
     bench.cycle(STEP)
     ipoc = bench.pc.decode(bench.krc.tick() or b"").ipoc
     bench.krc.receive(b'<Sen Type="ImFree"><AK A1="0"/><IPOC>%d</IPOC></Sen>' % ipoc)
@@ -153,8 +151,7 @@ def test_there_is_nothing_to_confirm_outside_t1() -> None:
         bench.krc.confirm()
 
 
-def test_a_key_turned_to_t1_asks_for_the_confirmation_at_the_next_start() -> None:
-    bench = Bench()
+def test_a_key_turned_to_t1_asks_for_the_confirmation_at_the_next_start(bench: Bench) -> None:
     bench.cycle()
     bench.krc.set_mode(OperatingMode.T1)
     bench.krc.restart()
@@ -193,8 +190,7 @@ def test_relative_corrections_are_cut_off_at_the_limit_of_their_sum() -> None:
     assert np.rad2deg(bench.krc.sample.q_setpoint) == pytest.approx([1.0 - np.rad2deg(STEP)], abs=1e-6)
 
 
-def test_the_operator_selects_the_program_and_the_selection_persists() -> None:
-    bench = Bench()
+def test_the_operator_selects_the_program_and_the_selection_persists(bench: Bench) -> None:
     for chosen, setpoint in ((None, STEP), ("relative", 3 * STEP), (None, 3 * STEP), ("absolute", STEP)):
         bench.krc.restart(chosen)
         while bench.krc.tick() is None:

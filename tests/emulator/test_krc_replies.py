@@ -8,8 +8,7 @@ from deltaq_emulator.replies import HISTORY, MAX_EXCUSED
 from deltaq_emulator.states import KrcState
 
 
-def test_a_valid_reply_is_accepted_and_moves_the_robot() -> None:
-    bench = Bench()
+def test_a_valid_reply_is_accepted_and_moves_the_robot(bench: Bench) -> None:
     for _ in range(5):
         bench.cycle(0.001)
     bench.cycle(0.001)
@@ -18,8 +17,7 @@ def test_a_valid_reply_is_accepted_and_moves_the_robot() -> None:
     assert bench.krc.sample.counters["unanswered"] == 0
 
 
-def test_a_cycle_without_any_reply_is_missing_and_makes_the_delay_grow() -> None:
-    bench = Bench()
+def test_a_cycle_without_any_reply_is_missing_and_makes_the_delay_grow(bench: Bench) -> None:
     bench.cycle()
     bench.silent(4)
     assert bench.cycle().delay == 4
@@ -27,8 +25,7 @@ def test_a_cycle_without_any_reply_is_missing_and_makes_the_delay_grow() -> None
     assert bench.krc.sample.counters["unanswered"] == 4
 
 
-def test_a_reply_that_comes_a_cycle_too_late_is_counted_late_and_ignored() -> None:
-    bench = Bench()
+def test_a_reply_that_comes_a_cycle_too_late_is_counted_late_and_ignored(bench: Bench) -> None:
     bench.cycle()
     first = bench.pc.decode(bench.silent() or b"").ipoc
     bench.krc.tick()
@@ -47,8 +44,7 @@ def test_a_kr_c2_takes_no_reply_in_the_last_part_of_its_cycle() -> None:
         assert bench.krc._judge.counts["late"] == late
 
 
-def test_a_second_reply_to_the_same_telegram_is_a_duplicate_and_the_first_one_counts() -> None:
-    bench = Bench()
+def test_a_second_reply_to_the_same_telegram_is_a_duplicate_and_the_first_one_counts(bench: Bench) -> None:
     bench.cycle()
     telegram = bench.cycle(0.001)
     bench.krc.receive(bench.reply(telegram.ipoc, 0.002))
@@ -58,8 +54,7 @@ def test_a_second_reply_to_the_same_telegram_is_a_duplicate_and_the_first_one_co
     assert bench.count("duplicate") == 2
 
 
-def test_a_reply_to_an_unsent_telegram_is_stale() -> None:
-    bench = Bench()
+def test_a_reply_to_an_unsent_telegram_is_stale(bench: Bench) -> None:
     telegram = bench.cycle()
     bench.krc.tick()
     bench.krc.receive(bench.reply(telegram.ipoc - 12 * (HISTORY + 5), 0.5))
@@ -68,15 +63,13 @@ def test_a_reply_to_an_unsent_telegram_is_stale() -> None:
     assert not bench.krc.sample.q_setpoint.any()
 
 
-def test_a_time_stamp_ahead_of_the_controller_is_future() -> None:
-    bench = Bench()
+def test_a_time_stamp_ahead_of_the_controller_is_future(bench: Bench) -> None:
     telegram = bench.cycle()
     bench.krc.receive(bench.reply(telegram.ipoc + 12, 0.5))
     assert bench.count("future") == 1
 
 
-def test_garbage_is_counted_and_the_session_continues() -> None:
-    bench = Bench()
+def test_garbage_is_counted_and_the_session_continues(bench: Bench) -> None:
     telegram = bench.cycle()
     for datagram in (b"", b"\xff", b"<Sen/>", bench.reply(telegram.ipoc).replace(b"0.0", b"nan")):
         bench.krc.receive(datagram)
@@ -85,8 +78,7 @@ def test_garbage_is_counted_and_the_session_continues() -> None:
     assert bench.krc.state is KrcState.RSI_RUNNING
 
 
-def test_the_wrong_type_is_counted_and_its_values_are_ignored() -> None:
-    bench = Bench()
+def test_the_wrong_type_is_counted_and_its_values_are_ignored(bench: Bench) -> None:
     bench.cycle()
     ipoc = bench.pc.decode(bench.krc.tick() or b"").ipoc
     bench.krc.receive(bench.reply(ipoc, 0.5).replace(b"ImFree", b"imfree"))

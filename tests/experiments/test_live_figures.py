@@ -20,6 +20,12 @@ from deltaq_experiments.bench.live_figures import (
 )
 from deltaq_protocol.stamps import CycleOutcome, StampStation, WrittenStamps
 
+
+@pytest.fixture
+def stamps() -> RobotStamps:
+    return RobotStamps()
+
+
 BRAKED = CycleOutcome.BRAKED
 
 
@@ -63,8 +69,7 @@ def test_without_stamps_there_are_no_journeys_and_no_rate() -> None:
     assert all(station.age_ms.count == 0 and station.ratio_p50 is None for station in figures.stations)
 
 
-def test_an_increment_is_joined_through_all_stations() -> None:
-    stamps = RobotStamps()
+def test_an_increment_is_joined_through_all_stations(stamps: RobotStamps) -> None:
     stamp(stamps, 4)
     [one] = journeys(stamps, 0, ns(10))
     assert (one.cycle, one.seq, one.decided_on) == (4, 4, 4)
@@ -90,14 +95,12 @@ def test_a_lost_stamp_omits_its_station_and_keeps_earlier_ones(lost: StampStatio
         assert sum(missing.values()) == 1
 
 
-def test_an_increment_whose_telegram_has_no_stamp_is_left_out() -> None:
-    stamps = RobotStamps()
+def test_an_increment_whose_telegram_has_no_stamp_is_left_out(stamps: RobotStamps) -> None:
     stamp(stamps, 4, without=(StampStation.TELEGRAM,))
     assert journeys(stamps, 0, ns(10)) == []
 
 
-def test_an_increment_decided_one_cycle_later_takes_that_cycles_admission() -> None:
-    stamps = RobotStamps()
+def test_an_increment_decided_one_cycle_later_takes_that_cycles_admission(stamps: RobotStamps) -> None:
     stamp(
         stamps, 4, decided_on=5, later_ms={s: 8.0 for s in StampStation if s >= StampStation.DECISION_BEGUN}
     )
@@ -106,22 +109,19 @@ def test_an_increment_decided_one_cycle_later_takes_that_cycles_admission() -> N
     assert one.age_ns(StampStation.ADMISSION_AT_SERVER) == 17 * MS
 
 
-def test_sequence_numbers_of_a_second_lease_are_not_those_of_the_first() -> None:
-    stamps = RobotStamps()
+def test_sequence_numbers_of_a_second_lease_are_not_those_of_the_first(stamps: RobotStamps) -> None:
     stamp(stamps, 4, seq=1)
     stamp(stamps, 40, seq=1)
     assert [(one.cycle, one.decided_on) for one in journeys(stamps, 0, ns(100))] == [(4, 4), (40, 40)]
 
 
-def test_of_two_stamps_of_one_kind_the_first_counts() -> None:
-    stamps = RobotStamps()
+def test_of_two_stamps_of_one_kind_the_first_counts(stamps: RobotStamps) -> None:
     stamp(stamps, 4)
     stamps.add(StampStation.TELEGRAM, 4, 0, ns(4) + 5 * MS)
     assert journeys(stamps, 0, ns(10))[0].age_ns(StampStation.DECIDED) == 7 * MS
 
 
-def test_only_cycles_of_the_window_count() -> None:
-    stamps = RobotStamps()
+def test_only_cycles_of_the_window_count(stamps: RobotStamps) -> None:
     for cycle in range(10):
         stamp(stamps, cycle)
     figures = robot_figures(stamps, ns(3), ns(7), even_hops(10))
@@ -265,16 +265,14 @@ def test_admissions_after_a_break_of_the_chain_are_reported() -> None:
     assert causes(stamps, cycles, lookahead_cycles=2) == expected
 
 
-def test_a_held_robot_and_a_missed_reply_are_causes_of_their_own() -> None:
-    stamps = RobotStamps()
+def test_a_held_robot_and_a_missed_reply_are_causes_of_their_own(stamps: RobotStamps) -> None:
     stamp(stamps, 4, outcome=CycleOutcome.HELD)
     stamp(stamps, 5, outcome=CycleOutcome.REPLY_MISSED)
     stamp(stamps, 6)
     assert causes(stamps, [4, 5, 6, 7]) == Counter({BrakeCause.HELD: 1, BrakeCause.REPLY_MISSED: 1})
 
 
-def test_every_braked_cycle_has_one_cause() -> None:
-    stamps = RobotStamps()
+def test_every_braked_cycle_has_one_cause(stamps: RobotStamps) -> None:
     for cycle in range(20):
         lost = (StampStation.ADMISSION_AT_SERVER,) if cycle % 3 == 1 else ()
         stamp(stamps, cycle, without=lost, outcome=BRAKED if cycle % 3 == 2 else CycleOutcome.FRESH)
@@ -286,8 +284,7 @@ def test_every_braked_cycle_has_one_cause() -> None:
 # --- beside the reference -----------------------------------------------------------------------------------
 
 
-def test_ages_are_compared_with_the_same_number_of_hops() -> None:
-    stamps = RobotStamps()
+def test_ages_are_compared_with_the_same_number_of_hops(stamps: RobotStamps) -> None:
     for cycle in range(10):
         stamp(stamps, cycle)
     figures = robot_figures(stamps, 0, ns(10), even_hops(10))

@@ -7,6 +7,12 @@ import pytest
 from deltaq_protocol.in_flight import PATIENCE_CYCLES, InFlight
 from deltaq_protocol.messages import Outcome, Phase, Playout, RobotState, ToolPose, Verdict
 
+
+@pytest.fixture
+def in_flight() -> InFlight:
+    return InFlight()
+
+
 POSE = ToolPose(position=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
 
 
@@ -28,14 +34,12 @@ def reckoned(in_flight: InFlight, told: RobotState) -> tuple[int, float]:
     return ahead.cycle, pytest.approx(float(ahead.q_cmd[0]))
 
 
-def test_a_verdict_on_an_unsent_increment_changes_nothing() -> None:
-    in_flight = InFlight()
+def test_a_verdict_on_an_unsent_increment_changes_nothing(in_flight: InFlight) -> None:
     assert not in_flight.take(verdict(7, 12, 0.1))
     assert reckoned(in_flight, state(10, 1.0, 1.5)) == (11, 1.5)
 
 
-def test_an_increment_without_a_verdict_is_abandoned_and_counted_once() -> None:
-    in_flight = InFlight()
+def test_an_increment_without_a_verdict_is_abandoned_and_counted_once(in_flight: InFlight) -> None:
     in_flight.ahead(state(10, 1.0, 1.5))
     in_flight.sent(1, [0.1], 10)
     last = 10 + 2 + PATIENCE_CYCLES
@@ -57,8 +61,7 @@ def test_a_refused_increment_counts_as_in_flight_until_its_verdict(outcome: Outc
     assert reckoned(in_flight, undecided) == (11, 1.5)
 
 
-def test_an_increment_shown_by_a_state_is_not_in_flight_without_its_verdict() -> None:
-    in_flight = InFlight()
+def test_an_increment_shown_by_a_state_is_not_in_flight_without_its_verdict(in_flight: InFlight) -> None:
     in_flight.ahead(state(10, 1.0, 1.4))
     in_flight.sent(1, [0.1], 10)
     assert reckoned(in_flight, state(11, 1.0, 1.5)) == (12, 1.5)
@@ -76,24 +79,21 @@ def test_an_increment_of_the_wrong_shape_is_refused_and_not_in_flight(dq: list[f
     assert reckoned(in_flight, undecided) == (12, 1.6)
 
 
-def test_a_scaled_increment_counts_as_admitted() -> None:
-    in_flight = InFlight()
+def test_a_scaled_increment_counts_as_admitted(in_flight: InFlight) -> None:
     in_flight.sent(1, [0.1], 10)
     in_flight.take(verdict(1, 13, 0.04, Outcome.SCALED))
     assert reckoned(in_flight, state(11, 1.0, 1.5)) == (13, 1.54)
     assert reckoned(in_flight, state(12, 1.0, 1.54)) == (13, 1.54)  # the state knows of it: not twice
 
 
-def test_of_two_verdicts_on_one_increment_the_last_counts() -> None:
-    in_flight = InFlight()
+def test_of_two_verdicts_on_one_increment_the_last_counts(in_flight: InFlight) -> None:
     in_flight.sent(1, [0.1], 10)
     assert in_flight.take(verdict(1, 12, 0.1))
     assert not in_flight.take(verdict(1, 14, 0.1))  # its admission came too late
     assert reckoned(in_flight, state(12, 1.0, 1.0)) == (14, 1.1)
 
 
-def test_a_hold_clears_all_increments_in_flight() -> None:
-    in_flight = InFlight()
+def test_a_hold_clears_all_increments_in_flight(in_flight: InFlight) -> None:
     in_flight.sent(1, [0.1], 10)
     in_flight.sent(2, [0.1], 11)
     in_flight.take(verdict(1, 14, 0.1))
@@ -101,8 +101,7 @@ def test_a_hold_clears_all_increments_in_flight() -> None:
     assert reckoned(in_flight, state(12, 1.0, 1.0)) == (13, 1.0)
 
 
-def test_increments_before_an_admitted_one_count_as_requested() -> None:
-    in_flight = InFlight()
+def test_increments_before_an_admitted_one_count_as_requested(in_flight: InFlight) -> None:
     in_flight.ahead(state(10, 1.0, 1.4))
     in_flight.sent(1, [0.1], 10)
     in_flight.sent(2, [0.01], 11)
@@ -112,8 +111,7 @@ def test_increments_before_an_admitted_one_count_as_requested() -> None:
     assert reckoned(in_flight, state(11, 1.0, 1.5, setpoint_cycle=12)) == (13, 1.56)
 
 
-def test_a_held_setpoint_does_not_count_as_the_increment_behind_it() -> None:
-    in_flight = InFlight()
+def test_a_held_setpoint_does_not_count_as_the_increment_behind_it(in_flight: InFlight) -> None:
     in_flight.ahead(state(10, 1.0, 1.4))
     in_flight.sent(1, [0.1], 10)
     held = Verdict(robot="fr", cycle=11, seq=1, outcome=Outcome.HELD, dq=(0.02,))
@@ -122,8 +120,7 @@ def test_a_held_setpoint_does_not_count_as_the_increment_behind_it() -> None:
     assert reckoned(in_flight, state(11, 1.0, 1.42)) == (13, 1.43)  # 12 is of the brake
 
 
-def test_another_robot_server_counts_from_one() -> None:
-    in_flight = InFlight()
+def test_another_robot_server_counts_from_one(in_flight: InFlight) -> None:
     for seq, cycle in enumerate((1000, 1001), start=1):
         in_flight.ahead(state(cycle, 1.0, 1.5))
         in_flight.sent(seq, [0.1], cycle)
@@ -132,8 +129,7 @@ def test_another_robot_server_counts_from_one() -> None:
     assert list(in_flight.cycles_to_answer(state(2, 2.0, 2.0))) == [2]
 
 
-def test_missed_states_are_answered_once_each_within_the_lookahead() -> None:
-    in_flight = InFlight()
+def test_missed_states_are_answered_once_each_within_the_lookahead(in_flight: InFlight) -> None:
     assert list(in_flight.cycles_to_answer(state(10, 1.0, 1.1))) == [10]
     in_flight.sent(1, [0.1], 10)
     in_flight.take(verdict(1, 12, 0.1))
@@ -144,15 +140,13 @@ def test_missed_states_are_answered_once_each_within_the_lookahead() -> None:
     assert list(in_flight.cycles_to_answer(state(16, 1.2, 1.3))) == [16]
 
 
-def test_a_robot_at_rest_gets_one_increment_at_a_time() -> None:
-    in_flight = InFlight()
+def test_a_robot_at_rest_gets_one_increment_at_a_time(in_flight: InFlight) -> None:
     in_flight.ahead(state(10, 1.0, 1.0))
     in_flight.sent(1, [0.1], 10)
     assert list(in_flight.cycles_to_answer(state(20, 1.0, 1.0))) == [20]
 
 
-def test_without_a_lookahead_the_last_setpoint_and_its_successors_count() -> None:
-    in_flight = InFlight()
+def test_without_a_lookahead_the_last_setpoint_and_its_successors_count(in_flight: InFlight) -> None:
     assert reckoned(in_flight, state(10, 1.0)) == (10, 1.0)
     in_flight.sent(1, [0.1], 10)
     assert reckoned(in_flight, state(11, 1.0)) == (12, 1.1)
@@ -169,8 +163,7 @@ def played(cycle: int, q_cmd: float, answered: int | None, delay: int = 5) -> Ro
     return state(cycle, q_cmd, playout=Playout(delay_cycles=delay, waiting=0, answered_cycle=answered))
 
 
-def test_with_a_jitter_buffer_increments_in_flight_count_without_verdicts() -> None:
-    in_flight = InFlight()
+def test_with_a_jitter_buffer_increments_in_flight_count_without_verdicts(in_flight: InFlight) -> None:
     for seq, cycle in enumerate(range(10, 16), start=1):
         in_flight.sent(seq, [0.1 * seq], cycle)
     ahead = in_flight.ahead(played(16, 1.0, answered=None))
@@ -182,16 +175,14 @@ def test_with_a_jitter_buffer_increments_in_flight_count_without_verdicts() -> N
     assert (float(ahead.q_cmd[0]), ahead.dq) == (pytest.approx(3.1), None)
 
 
-def test_with_a_jitter_buffer_a_refused_increment_no_longer_counts() -> None:
-    in_flight = InFlight()
+def test_with_a_jitter_buffer_a_refused_increment_no_longer_counts(in_flight: InFlight) -> None:
     in_flight.sent(1, [0.1], 10)
     in_flight.sent(2, [0.2], 11)
     assert in_flight.take(verdict(1, 10, 0.0, Outcome.REFUSED))
     assert reckoned(in_flight, played(12, 1.0, answered=9)) == (17, 1.2)
 
 
-def test_with_a_jitter_buffer_a_lost_verdict_is_abandoned_after_its_cycle() -> None:
-    in_flight = InFlight()
+def test_with_a_jitter_buffer_a_lost_verdict_is_abandoned_after_its_cycle(in_flight: InFlight) -> None:
     in_flight.sent(1, [0.1], 10)
     in_flight.ahead(played(16, 1.0, answered=10 + PATIENCE_CYCLES - 1))
     assert in_flight.take_given_up() == 0
@@ -199,8 +190,7 @@ def test_with_a_jitter_buffer_a_lost_verdict_is_abandoned_after_its_cycle() -> N
     assert in_flight.take_given_up() == 1
 
 
-def test_with_a_jitter_buffer_increments_that_are_never_played_out_expire() -> None:
-    in_flight = InFlight()
+def test_with_a_jitter_buffer_increments_that_are_never_played_out_expire(in_flight: InFlight) -> None:
     for cycle in range(1000):
         in_flight.ahead(played(cycle, 1.0, answered=None))
         in_flight.sent(cycle, [0.1], cycle)
@@ -208,8 +198,7 @@ def test_with_a_jitter_buffer_increments_that_are_never_played_out_expire() -> N
     assert left <= 0.1 * (2 * 5 + PATIENCE_CYCLES + 1)
 
 
-def test_over_a_slow_link_only_a_few_missed_states_are_answered() -> None:
-    in_flight = InFlight()
+def test_over_a_slow_link_only_a_few_missed_states_are_answered(in_flight: InFlight) -> None:
     assert list(in_flight.cycles_to_answer(played(10, 1.0, answered=None))) == [10]
     in_flight.sent(1, [0.1], 10)
     assert list(in_flight.cycles_to_answer(played(12, 1.0, answered=None))) == [11, 12]
@@ -218,8 +207,7 @@ def test_over_a_slow_link_only_a_few_missed_states_are_answered() -> None:
     assert list(in_flight.cycles_to_answer(played(60, 1.0, answered=12))) == [56, 57, 58, 59, 60]
 
 
-def test_with_a_jitter_buffer_deferred_motion_of_late_increments_counts_once() -> None:
-    in_flight = InFlight()
+def test_with_a_jitter_buffer_deferred_motion_of_late_increments_counts_once(in_flight: InFlight) -> None:
     in_flight.sent(1, [0.1], 10)
     in_flight.sent(2, [0.2], 11)
     assert in_flight.take(verdict(1, 10, 0.0, Outcome.CARRIED))

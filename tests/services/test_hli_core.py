@@ -89,6 +89,11 @@ class Bench:
         return self
 
 
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
 def sent(kind: type[Message], outputs: list[Output]) -> list[Any]:
     return [output.message for output in outputs if isinstance(output.message, kind)]
 
@@ -182,8 +187,7 @@ def test_a_robot_that_is_offline_or_held_takes_no_increment(phase: Phase, code: 
     assert refused(bench.move(1, cycle=101)).code is code
 
 
-def test_a_robot_without_a_state_is_not_ready() -> None:
-    bench = Bench()
+def test_a_robot_without_a_state_is_not_ready(bench: Bench) -> None:
     bench.lease()
     assert refused(bench.move(1)).code is ReasonCode.NOT_READY
 
@@ -266,8 +270,7 @@ def test_never_more_than_one_increment_goes_to_the_gate_for_a_cycle() -> None:
     assert len(sent(Request, outputs)) == 2
 
 
-def test_every_state_without_a_waiting_increment_sends_a_heartbeat() -> None:
-    bench = Bench()
+def test_every_state_without_a_waiting_increment_sends_a_heartbeat(bench: Bench) -> None:
     request = only(Request, bench.state(100))
     assert request == Request(robot="fr", cycle=100, lease_epoch=0)
 
@@ -347,8 +350,7 @@ def test_a_repeated_state_lets_no_second_increment_through() -> None:
     assert [r.seq for r in sent(Request, bench.state(101))] == [2]
 
 
-def test_a_state_of_a_robot_or_shape_that_the_cell_does_not_have_is_ignored_and_counted() -> None:
-    bench = Bench()
+def test_a_state_of_a_robot_or_shape_that_the_cell_does_not_have_is_ignored_and_counted(bench: Bench) -> None:
     assert bench.state(100, "ghost") == []
     assert bench.state(100, q=(0.0,) * 7) == []
     assert bench.core.counters["states_ignored"] == 2
@@ -390,8 +392,7 @@ def test_a_verdict_on_a_robot_that_the_cell_does_not_have_is_ignored() -> None:
 # --- stop, reset, outputs ---------------------------------------------------------------------------
 
 
-def test_a_stop_is_commanded_at_once_and_done_on_the_reply_of_the_gate() -> None:
-    bench = Bench()
+def test_a_stop_is_commanded_at_once_and_done_on_the_reply_of_the_gate(bench: Bench) -> None:
     command = only(Command, bench.core.requests.on_stop(StopRequest(), bench.client, bench.now))
     assert (command.kind, command.robot, command.reason) == ("stop", None, ReasonCode.OPERATOR_STOP)
     done = bench.core.on_command_reply(CommandReply(id=command.id, accepted=True))
@@ -415,8 +416,7 @@ def test_a_gate_that_does_not_answer_a_stop_within_half_a_second_is_reported_unr
     assert bench.core.counters["commands_unanswered"] == 1
 
 
-def test_the_newest_unanswered_stop_of_each_robot_is_repeated() -> None:
-    bench = Bench()
+def test_the_newest_unanswered_stop_of_each_robot_is_repeated(bench: Bench) -> None:
     stop = only(Command, bench.core.requests.on_stop(StopRequest(), bench.client, bench.now))
     for _ in range(MOST_AWAIT_A_STOP - 1):
         assert (
@@ -428,8 +428,7 @@ def test_the_newest_unanswered_stop_of_each_robot_is_repeated() -> None:
     assert sent(Command, bench.core.on_tick(bench.now + 0.1)) == [stop]
 
 
-def test_every_client_that_stops_gets_an_answer_though_the_gate_gets_one_stop() -> None:
-    bench = Bench()
+def test_every_client_that_stops_gets_an_answer_though_the_gate_gets_one_stop(bench: Bench) -> None:
     clients = [Client() for _ in range(MOST_AWAIT_A_STOP)]
     (stop,) = (
         c
@@ -440,15 +439,13 @@ def test_every_client_that_stops_gets_an_answer_though_the_gate_gets_one_stop() 
     assert [output.sender for output in told if isinstance(output.message, Done)] == clients
 
 
-def test_a_stop_after_a_reset_joins_none_from_before_it() -> None:
-    bench = Bench()
+def test_a_stop_after_a_reset_joins_none_from_before_it(bench: Bench) -> None:
     bench.core.requests.on_stop(StopRequest(), bench.client, bench.now)
     bench.core.requests.on_reset(ResetRequest(robot="fr"), bench.client, bench.now)
     assert only(Command, bench.core.requests.on_stop(StopRequest(), bench.client, bench.now)).kind == "stop"
 
 
-def test_a_flood_of_commands_reaches_the_gate_at_a_rate_and_no_stop_waits_for_it() -> None:
-    bench = Bench()
+def test_a_flood_of_commands_reaches_the_gate_at_a_rate_and_no_stop_waits_for_it(bench: Bench) -> None:
     asked = [
         bench.core.requests.on_reset(ResetRequest(robot="fr"), bench.client, bench.now) for _ in range(500)
     ]
@@ -459,8 +456,7 @@ def test_a_flood_of_commands_reaches_the_gate_at_a_rate_and_no_stop_waits_for_it
     assert only(Command, later).kind == "reset"
 
 
-def test_a_reply_after_the_deadline_answers_no_client_twice() -> None:
-    bench = Bench()
+def test_a_reply_after_the_deadline_answers_no_client_twice(bench: Bench) -> None:
     command = only(Command, bench.core.requests.on_stop(StopRequest(), bench.client, bench.now))
     bench.core.on_tick(bench.now + 1.0)
     assert bench.core.on_command_reply(CommandReply(id=command.id, accepted=True)) == []
@@ -478,8 +474,7 @@ def test_a_reset_that_the_gate_refuses_comes_back_with_its_reason_and_a_hint(cod
     assert "reset again" in error.hint
 
 
-def test_a_reset_of_a_robot_that_the_cell_does_not_have_names_those_it_has() -> None:
-    bench = Bench()
+def test_a_reset_of_a_robot_that_the_cell_does_not_have_names_those_it_has(bench: Bench) -> None:
     error = only(Error, bench.core.requests.on_reset(ResetRequest(robot="ghost"), bench.client, bench.now))
     assert (error.code, error.hint) == (ReasonCode.UNKNOWN_ROBOT, "it has fr, gr")
     assert (error.request, error.robot) == ("reset", "ghost")
@@ -517,8 +512,7 @@ def test_an_invalid_name_is_answered_with_valid_text() -> None:
     assert to_line(error)
 
 
-def test_only_the_holder_sets_outputs_of_a_leased_robot_and_any_client_reads_them() -> None:
-    bench = Bench()
+def test_only_the_holder_sets_outputs_of_a_leased_robot_and_any_client_reads_them(bench: Bench) -> None:
     bench.state(100, "gr")
     bench.lease(robot="gr", client="octave")
     assert only(Error, io(bench, outputs={"gripper": True})).code is ReasonCode.LEASE_NOT_HELD
@@ -531,8 +525,7 @@ def test_only_the_holder_sets_outputs_of_a_leased_robot_and_any_client_reads_the
     assert reply.outputs == {"gripper": True}
 
 
-def test_the_audit_log_keeps_notes_of_the_holder_alone() -> None:
-    bench = Bench()
+def test_the_audit_log_keeps_notes_of_the_holder_alone(bench: Bench) -> None:
     bench.state(100, "gr")
     bench.lease(robot="gr", client="routine")
     io(bench, note="a stranger's")
@@ -546,8 +539,7 @@ def test_the_audit_log_keeps_notes_of_the_holder_alone() -> None:
 # --- looking on -------------------------------------------------------------------------------------
 
 
-def test_the_nearest_pair_is_published_only_when_the_gate_sends_it() -> None:
-    bench = Bench()
+def test_the_nearest_pair_is_published_only_when_the_gate_sends_it(bench: Bench) -> None:
     pair = NearestPair(pair=("fr/link_5", "floor"), distance_m=0.4, points_m=((0, 0, 0), (0, 0, 0.4)))
     cell = bench.core.description.identity
     health = Health(
@@ -580,8 +572,7 @@ def test_the_status_shows_a_robot_that_fell_silent_as_offline_with_the_age_of_it
 # --- dry runs and contacts --------------------------------------------------------------------------
 
 
-def test_a_dry_run_is_answered_with_the_gates_verdict() -> None:
-    bench = Bench()
+def test_a_dry_run_is_answered_with_the_gates_verdict(bench: Bench) -> None:
     asked = DryRunRequest(robot="fr", dq=(0.0,) * 6)
     command = only(Command, bench.core.requests.on_dry_run(asked, bench.client, bench.now))
     assert (command.kind, command.robot, command.dq) == ("dry_run", "fr", (0.0,) * 6)
@@ -590,8 +581,7 @@ def test_a_dry_run_is_answered_with_the_gates_verdict() -> None:
     assert answer == [ToSender(bench.client, DryRunReply(robot="fr", verdict=said))]
 
 
-def test_a_dry_run_of_the_wrong_length_is_answered_with_the_joint_count() -> None:
-    bench = Bench()
+def test_a_dry_run_of_the_wrong_length_is_answered_with_the_joint_count(bench: Bench) -> None:
     asked = DryRunRequest(robot="fr", dq=(0.0,) * 5)
     error = only(Error, bench.core.requests.on_dry_run(asked, bench.client, bench.now))
     assert (error.code, error.message) == (ReasonCode.BAD_SHAPE, "dq has 5 elements, fr has 6 joints")
@@ -628,16 +618,14 @@ def reset(bench: Bench) -> Command:
     return command
 
 
-def test_a_command_names_the_newest_cycle_of_every_robot_with_a_state() -> None:
-    bench = Bench()
+def test_a_command_names_the_newest_cycle_of_every_robot_with_a_state(bench: Bench) -> None:
     assert reset(bench).cycles == {}
     bench.state(7)
     bench.state(5, "gr")
     assert reset(bench).cycles == {"fr": 7, "gr": 5}
 
 
-def test_a_command_without_the_epoch_of_the_gate_is_repeated_with_it() -> None:
-    bench = Bench()
+def test_a_command_without_the_epoch_of_the_gate_is_repeated_with_it(bench: Bench) -> None:
     first = reset(bench)
     second = only(Command, bench.core.on_command_reply(out_of_turn(first, "stale_epoch", 77)))
     assert (second.epoch, second.id, second.cycles) == (77, first.id + 1, first.cycles)
@@ -645,8 +633,7 @@ def test_a_command_without_the_epoch_of_the_gate_is_repeated_with_it() -> None:
     assert reset(bench).epoch == 77
 
 
-def test_a_new_hli_continues_from_the_command_ids_of_an_earlier_one() -> None:
-    bench = Bench()
+def test_a_new_hli_continues_from_the_command_ids_of_an_earlier_one(bench: Bench) -> None:
     first, second = reset(bench), reset(bench)
     again = [
         only(Command, bench.core.on_command_reply(out_of_turn(one, "replayed_sequence", newest_id=9_000)))
@@ -655,8 +642,7 @@ def test_a_new_hli_continues_from_the_command_ids_of_an_earlier_one() -> None:
     assert [one.id for one in again] == [9_001, 9_002]
 
 
-def test_commands_from_before_a_stop_are_not_repeated_after_it() -> None:
-    bench = Bench()
+def test_commands_from_before_a_stop_are_not_repeated_after_it(bench: Bench) -> None:
     first = reset(bench)
     bench.core.requests.on_stop(StopRequest(), bench.client, bench.now)
     told = only(Error, bench.core.on_command_reply(out_of_turn(first, "stale_epoch", 77)))
@@ -664,14 +650,12 @@ def test_commands_from_before_a_stop_are_not_repeated_after_it() -> None:
     assert reset(bench).epoch == 77
 
 
-def test_the_refusal_of_a_copy_is_no_answer_to_a_command() -> None:
-    bench = Bench()
+def test_the_refusal_of_a_copy_is_no_answer_to_a_command(bench: Bench) -> None:
     command = reset(bench)
     assert bench.core.on_command_reply(out_of_turn(command, "replayed_sequence", newest_id=command.id)) == []
     assert only(Done, bench.core.on_command_reply(CommandReply(id=command.id, accepted=True)))
 
 
-def test_a_late_command_is_reported_and_not_repeated() -> None:
-    bench = Bench()
+def test_a_late_command_is_reported_and_not_repeated(bench: Bench) -> None:
     told = only(Error, bench.core.on_command_reply(out_of_turn(reset(bench), "stale_cycle")))
     assert told.code is ReasonCode.STALE_CYCLE

@@ -13,14 +13,18 @@ from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.outputs import Output
 
 
+@pytest.fixture
+def bench() -> Bench:
+    return Bench().ready()
+
+
 def controller_lost(outputs: list[Output]) -> bool:
     commands = sent(Command, outputs)
     assert all((c.kind, c.robot, c.reason) == ("stop", "fr", ReasonCode.CONTROLLER_LOST) for c in commands)
     return len(commands) == 1
 
 
-def test_a_second_client_is_refused_with_the_holders_name_and_the_time_left() -> None:
-    bench = Bench().ready()
+def test_a_second_client_is_refused_with_the_holders_name_and_the_time_left(bench: Bench) -> None:
     bench.now += 0.25
     reply = bench.lease(client="intruder")
     assert (reply.granted, reply.code, reply.holder) == (False, ReasonCode.LEASE_TAKEN, "octave")
@@ -33,21 +37,18 @@ def test_the_lease_of_a_robot_that_the_cell_does_not_have_is_refused() -> None:
 
 
 @pytest.mark.parametrize("action", ["renew", "release"])
-def test_only_the_holder_renews_and_releases(action: str) -> None:
-    bench = Bench().ready()
+def test_only_the_holder_renews_and_releases(bench: Bench, action: str) -> None:
     reply = bench.lease(action, lease="token-of-another")
     assert (reply.granted, reply.code, reply.holder) == (False, ReasonCode.LEASE_NOT_HELD, "octave")
 
 
-def test_a_lease_runs_out_when_nothing_renews_it() -> None:
-    bench = Bench().ready()
+def test_a_lease_runs_out_when_nothing_renews_it(bench: Bench) -> None:
     bench.now += 1.0
     assert bench.lease("renew", lease=bench.token).code is ReasonCode.LEASE_NOT_HELD
     assert bench.core.counters["leases_expired"] == 1
 
 
-def test_a_client_that_loses_a_lease_by_silence_gets_bound_and_remedy() -> None:
-    bench = Bench().ready()
+def test_a_client_that_loses_a_lease_by_silence_gets_bound_and_remedy(bench: Bench) -> None:
     bench.now += 1.0
     error = only(Error, bench.core.on_tick(bench.now))
     assert (error.code, error.robot, error.request) == (ReasonCode.LEASE_NOT_HELD, "fr", None)
@@ -56,16 +57,14 @@ def test_a_client_that_loses_a_lease_by_silence_gets_bound_and_remedy() -> None:
     assert "acquire" in error.hint
 
 
-def test_a_line_does_not_renew_an_expired_lease() -> None:
-    bench = Bench().ready()
+def test_a_line_does_not_renew_an_expired_lease(bench: Bench) -> None:
     assert bench.token is not None
     bench.now += 1.0
     assert only(Error, bench.core.requests.on_heard([("fr", bench.token)], bench.now)).robot == "fr"
     assert not bench.lease("renew", lease=bench.token).granted
 
 
-def test_a_line_of_a_former_holder_does_not_renew_the_next_lease() -> None:
-    bench = Bench().ready()
+def test_a_line_of_a_former_holder_does_not_renew_the_next_lease(bench: Bench) -> None:
     former, bench.token = bench.token, None
     assert former is not None
     bench.lease("take")
@@ -75,8 +74,7 @@ def test_a_line_of_a_former_holder_does_not_renew_the_next_lease() -> None:
     assert not bench.lease("renew", lease=bench.token).granted
 
 
-def test_a_copy_of_an_increment_does_not_renew_the_lease() -> None:
-    bench = Bench().ready()
+def test_a_copy_of_an_increment_does_not_renew_the_lease(bench: Bench) -> None:
     bench.move(1)
     bench.now += 0.9
     assert refused(bench.move(1)).code is ReasonCode.REPLAYED_SEQUENCE
@@ -84,8 +82,7 @@ def test_a_copy_of_an_increment_does_not_renew_the_lease() -> None:
     assert not bench.lease("renew", lease=bench.token).granted
 
 
-def test_a_renewal_and_an_accepted_increment_both_renew_the_lease() -> None:
-    bench = Bench().ready()
+def test_a_renewal_and_an_accepted_increment_both_renew_the_lease(bench: Bench) -> None:
     bench.now += 0.9
     assert bench.lease("renew", lease=bench.token).expires_s == pytest.approx(1.0)
     bench.now += 0.9
@@ -100,8 +97,7 @@ def test_a_renewal_and_an_accepted_increment_both_renew_the_lease() -> None:
     [{}, {"cycle": 1}, {"cycle": 200}, {"dq": (0.0,) * 7}, {"dq": [None] * 6}, {"dq": "fast"}],
     ids=["not heard", "stale", "future", "long", "not finite", "no list"],
 )
-def test_a_refused_increment_renews_the_lease(bad: dict[str, Any]) -> None:
-    bench = Bench().ready()
+def test_a_refused_increment_renews_the_lease(bench: Bench, bad: dict[str, Any]) -> None:
     bench.now += 0.9
     bench.move(1, **bad)  # its robot is not heard any more, whatever else is wrong with it
     assert bench.core.counters["requests"] == 0
@@ -109,16 +105,14 @@ def test_a_refused_increment_renews_the_lease(bad: dict[str, Any]) -> None:
     assert bench.lease("renew", lease=bench.token).granted
 
 
-def test_reading_or_setting_outputs_renews_the_lease() -> None:
-    bench = Bench().ready()
+def test_reading_or_setting_outputs_renews_the_lease(bench: Bench) -> None:
     bench.now += 0.9
     bench.core.requests.on_io(IoRequest(robot="fr", lease=bench.token), bench.client, bench.now)
     bench.now += 0.9
     assert bench.lease("renew", lease=bench.token).granted
 
 
-def test_acquiring_again_with_the_token_renews_and_keeps_the_epoch() -> None:
-    bench = Bench().ready()
+def test_acquiring_again_with_the_token_renews_and_keeps_the_epoch(bench: Bench) -> None:
     assert bench.lease(lease=bench.token).granted
     assert only(Request, bench.move(1)).lease_epoch == 1001
 
@@ -136,8 +130,7 @@ def test_every_grant_has_an_epoch_and_a_token_of_its_own_and_begins_with_any_seq
     assert len(tokens) == 4
 
 
-def test_taking_a_lease_moves_it_and_the_former_holder_learns_at_the_next_increment() -> None:
-    bench = Bench().ready()
+def test_taking_a_lease_moves_it_and_the_former_holder_learns_at_the_next_increment(bench: Bench) -> None:
     former = bench.token
     bench.token = None
     assert bench.lease("take", client="operator").holder == "operator"
@@ -146,16 +139,14 @@ def test_taking_a_lease_moves_it_and_the_former_holder_learns_at_the_next_increm
     assert only(Request, bench.move(1)).lease_epoch == 1002
 
 
-def test_taking_a_lease_does_not_stop_the_robot() -> None:
-    bench = Bench().ready()
+def test_taking_a_lease_does_not_stop_the_robot(bench: Bench) -> None:
     bench.move(1)
     bench.token = None
     bench.lease("take")
     assert not sent(Command, bench.core.on_tick(bench.now))
 
 
-def test_releasing_a_lease_drops_the_waiting_increment_without_a_stop() -> None:
-    bench = Bench().ready()
+def test_releasing_a_lease_drops_the_waiting_increment_without_a_stop(bench: Bench) -> None:
     bench.move(1)
     bench.move(2)
     reply = bench.lease("release", lease=bench.token)
@@ -165,8 +156,7 @@ def test_releasing_a_lease_drops_the_waiting_increment_without_a_stop() -> None:
     assert not sent(Command, outputs)
 
 
-def test_a_holder_that_falls_silent_in_motion_holds_the_robot_as_controller_lost() -> None:
-    bench = Bench().ready()
+def test_a_holder_that_falls_silent_in_motion_holds_the_robot_as_controller_lost(bench: Bench) -> None:
     bench.move(1)
     bench.move(2)
     bench.now += 1.0
@@ -186,15 +176,13 @@ def test_a_broken_connection_stops_a_moving_robot_without_increments(
     assert controller_lost(bench.core.requests.on_connection_lost([("fr", bench.token)], bench.now))
 
 
-def test_a_holder_that_never_moved_its_robot_may_disconnect() -> None:
-    bench = Bench().ready()
+def test_a_holder_that_never_moved_its_robot_may_disconnect(bench: Bench) -> None:
     assert bench.token is not None
     assert bench.core.requests.on_connection_lost([("fr", bench.token)], bench.now) == []
     assert bench.lease(client="next").granted
 
 
-def test_a_connection_that_breaks_after_its_lease_was_taken_stops_nothing() -> None:
-    bench = Bench().ready()
+def test_a_connection_that_breaks_after_its_lease_was_taken_stops_nothing(bench: Bench) -> None:
     bench.move(1)
     former, bench.token = bench.token, None
     bench.lease("take")
@@ -202,8 +190,7 @@ def test_a_connection_that_breaks_after_its_lease_was_taken_stops_nothing() -> N
     assert bench.core.requests.on_connection_lost([("fr", former)], bench.now) == []
 
 
-def test_a_lost_controller_without_a_gate_is_counted_and_its_robot_stopped_later() -> None:
-    bench = Bench().ready()
+def test_a_lost_controller_without_a_gate_is_counted_and_its_robot_stopped_later(bench: Bench) -> None:
     bench.move(1)
     stop = only(Command, bench.core.on_tick(bench.now + 1.0))
     assert bench.core.on_tick(bench.now + 1.05) == []
@@ -216,8 +203,7 @@ def test_a_lost_controller_without_a_gate_is_counted_and_its_robot_stopped_later
     assert bench.core.on_tick(bench.now + 60.0) == []
 
 
-def test_a_reacquired_lease_does_not_cancel_the_stop_for_its_silence() -> None:
-    bench = Bench().ready()
+def test_a_reacquired_lease_does_not_cancel_the_stop_for_its_silence(bench: Bench) -> None:
     bench.move(1)
     bench.now += 1.0
     stop = only(Command, bench.core.on_tick(bench.now))  # lost on its way
@@ -228,8 +214,7 @@ def test_a_reacquired_lease_does_not_cancel_the_stop_for_its_silence() -> None:
     assert sent(Command, bench.state(102)) == [stop]
 
 
-def test_an_hli_with_a_set_back_clock_continues_from_the_epochs_of_the_gate() -> None:
-    bench = Bench().ready()
+def test_an_hli_with_a_set_back_clock_continues_from_the_epochs_of_the_gate(bench: Bench) -> None:
     stale = only(Request, bench.move(1)).lease_epoch
     known = Reason(code=ReasonCode.LEASE_NOT_HELD, what="lease_epoch", value=stale, bound=5_000)
     refusal = Verdict(robot="fr", cycle=100, seq=1, outcome=Outcome.REFUSED, reasons=(known,))
@@ -241,8 +226,7 @@ def test_an_hli_with_a_set_back_clock_continues_from_the_epochs_of_the_gate() ->
     assert bench.core.counters["leases_outdated"] == 1
 
 
-def test_a_refusal_for_an_epoch_that_was_granted_here_ends_no_lease() -> None:
-    bench = Bench().ready()
+def test_a_refusal_for_an_epoch_that_was_granted_here_ends_no_lease(bench: Bench) -> None:
     bench.move(1)
     known = Reason(code=ReasonCode.LEASE_NOT_HELD, what="lease_epoch", value=900, bound=1_001)
     bench.core.on_gate_verdict(

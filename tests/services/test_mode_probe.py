@@ -95,6 +95,11 @@ class Arm:
         return self.probe
 
 
+@pytest.fixture
+def arm() -> Arm:
+    return Arm()
+
+
 LAGS = st.tuples(st.integers(0, 2), st.floats(0.7, 1.0))
 
 
@@ -203,8 +208,7 @@ def test_a_robot_without_response_is_probed_until_it_moves():
     assert not probe.bars
 
 
-def test_a_joint_that_does_not_follow_is_named_and_blocks_the_robot():
-    arm = Arm()
+def test_a_joint_that_does_not_follow_is_named_and_blocks_the_robot(arm):
     arm.moves = np.array([1.0] * 8 + [0.0])
     probe = arm.trial()
     assert probe.unseen == ("a6",)
@@ -212,14 +216,12 @@ def test_a_joint_that_does_not_follow_is_named_and_blocks_the_robot():
 
 
 @pytest.mark.parametrize("factor", [-1.0, 0.3, 4.0, 57.3])
-def test_a_joint_with_another_direction_or_amount_of_motion_is_not_absolute(factor):
-    arm = Arm()
+def test_a_joint_with_another_direction_or_amount_of_motion_is_not_absolute(arm, factor):
     arm.moves = np.array([1.0] * 8 + [factor])
     assert not arm.trial(3 * TRIAL).known
 
 
-def test_one_relative_joint_is_enough_to_refuse():
-    arm = Arm()
+def test_one_relative_joint_is_enough_to_refuse(arm):
     relative = Arm("relative")
     for _ in range(TRIAL):
         arm.cycle()
@@ -230,8 +232,7 @@ def test_one_relative_joint_is_enough_to_refuse():
 
 @pytest.mark.parametrize("cycle", [5, 10, HALF + 5])
 @pytest.mark.parametrize("sag", [0.8, -0.8])
-def test_a_sagging_robot_has_an_unknown_mode_and_is_probed_again(cycle, sag):
-    arm = Arm()
+def test_a_sagging_robot_has_an_unknown_mode_and_is_probed_again(arm, cycle, sag):
     arm.trial(cycle)
     arm.sag = sag * SIZE
     probe = arm.trial(TRIAL - cycle)
@@ -240,8 +241,7 @@ def test_a_sagging_robot_has_an_unknown_mode_and_is_probed_again(cycle, sag):
     assert arm.trial().known
 
 
-def test_a_robot_moving_without_corrections_for_several_telegrams_is_adrift():
-    arm = Arm()
+def test_a_robot_moving_without_corrections_for_several_telegrams_is_adrift(arm):
     for cycles in (1, 2):
         arm.trial(1)
         arm.sag = 1.1 * ADRIFT * SIZE
@@ -259,8 +259,7 @@ def test_a_robot_moving_without_corrections_for_several_telegrams_is_adrift():
     assert arm.probe.detail.startswith("the robot moves although its correction is constant")
 
 
-def test_a_pulse_is_aborted_when_the_robot_is_adrift():
-    arm = Arm()
+def test_a_pulse_is_aborted_when_the_robot_is_adrift(arm):
     arm.trial(2)
     arm.sag = 1.1 * ADRIFT * SIZE
     arm.q = arm.start + arm.sag
@@ -270,8 +269,7 @@ def test_a_pulse_is_aborted_when_the_robot_is_adrift():
     assert not arm.sent[-1].any()
 
 
-def test_a_robot_displaced_from_the_first_telegram_on_is_adrift_after_three():
-    arm = Arm()
+def test_a_robot_displaced_from_the_first_telegram_on_is_adrift_after_three(arm):
     arm.sag = 1.1 * ADRIFT * SIZE
     arm.q = arm.start + arm.sag
     assert arm.trial(2).mode is Mode.UNKNOWN
@@ -312,8 +310,7 @@ def test_a_trial_with_a_loss_near_a_pulse_has_no_result_and_is_repeated(lost, at
 
 
 @pytest.mark.parametrize("at", [1, 8, HALF + 3, TRIAL - 1])
-def test_a_loss_far_from_a_pulse_costs_no_trial(at):
-    arm = Arm()
+def test_a_loss_far_from_a_pulse_costs_no_trial(arm, at):
     arm.trial(at)
     arm.cycle(missed_last=True)
     assert arm.trial(TRIAL - at - 1).known

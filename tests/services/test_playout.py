@@ -295,12 +295,16 @@ class Bench:
         return self.core.increments.on_increment(sent, self.client, self.time_s)
 
 
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
 def verdicts(outputs: list[Output]) -> list[Verdict]:
     return [one.message for one in outputs if isinstance(one, ToSender) and isinstance(one.message, Verdict)]
 
 
-def test_an_increment_from_the_buffer_passes_with_the_present_cycle() -> None:
-    bench = Bench()
+def test_an_increment_from_the_buffer_passes_with_the_present_cycle(bench: Bench) -> None:
     for _ in range(30):
         bench.turn()
     assert bench.answer(bench.cycle - 25, seq=1) == []
@@ -314,8 +318,7 @@ def test_an_increment_from_the_buffer_passes_with_the_present_cycle() -> None:
     assert state.playout.answered_cycle == bench.cycle - 27
 
 
-def test_reordered_increments_pass_in_the_order_of_their_states() -> None:
-    bench = Bench()
+def test_reordered_increments_pass_in_the_order_of_their_states(bench: Bench) -> None:
     for seq, cycle in enumerate(range(101, 131), start=1):  # one that takes three cycles shows the delay
         bench.turn()
         if cycle == 101:
@@ -333,8 +336,7 @@ def test_reordered_increments_pass_in_the_order_of_their_states() -> None:
     assert order[-1] == 30
 
 
-def test_a_duplicate_is_refused_though_numbers_may_overtake_one_another() -> None:
-    bench = Bench()
+def test_a_duplicate_is_refused_though_numbers_may_overtake_one_another(bench: Bench) -> None:
     bench.turn()
     assert bench.answer(101, seq=7) == []
     assert bench.answer(100, seq=6) == []
@@ -343,8 +345,7 @@ def test_a_duplicate_is_refused_though_numbers_may_overtake_one_another() -> Non
         assert refused.reasons[0].code is ReasonCode.REPLAYED_SEQUENCE
 
 
-def test_a_lost_increment_is_restored_from_its_successor() -> None:
-    bench = Bench()
+def test_a_lost_increment_is_restored_from_its_successor(bench: Bench) -> None:
     for cycle in range(101, 105):
         bench.turn()
         bench.answer(cycle, cycle, earlier=((cycle - 1, cycle - 1),))
@@ -357,8 +358,7 @@ def test_a_lost_increment_is_restored_from_its_successor() -> None:
     assert bench.core.counters["increments_overtaken"] == 0
 
 
-def test_an_already_repeated_increment_is_accepted_as_no_duplicate_once() -> None:
-    bench = Bench()
+def test_an_already_repeated_increment_is_accepted_as_no_duplicate_once(bench: Bench) -> None:
     for _ in range(2):
         bench.turn()
     assert bench.answer(102, 102, earlier=((101, 101),)) == []
@@ -368,8 +368,7 @@ def test_an_already_repeated_increment_is_accepted_as_no_duplicate_once() -> Non
     assert refused.reasons[0].code is ReasonCode.REPLAYED_SEQUENCE
 
 
-def test_repeated_increments_are_checked_and_answered_by_their_own_number() -> None:
-    bench = Bench()
+def test_repeated_increments_are_checked_and_answered_by_their_own_number(bench: Bench) -> None:
     for _ in range(80):
         bench.turn()
     (refused,) = verdicts(bench.answer(bench.cycle, 9, earlier=((bench.cycle - 51, 8),)))
@@ -385,8 +384,7 @@ def test_without_a_jitter_buffer_repeated_increments_are_ignored() -> None:
     assert verdicts(bench.answer(bench.cycle, 6))[0].reasons[0].code is ReasonCode.REPLAYED_SEQUENCE
 
 
-def test_a_too_slow_link_is_reported_with_its_delay_and_the_bound() -> None:
-    bench = Bench()
+def test_a_too_slow_link_is_reported_with_its_delay_and_the_bound(bench: Bench) -> None:
     for _ in range(80):
         bench.turn()
     (refused,) = verdicts(bench.answer(bench.cycle - 51, seq=1))
@@ -461,8 +459,7 @@ def test_waiting_increments_are_refused_when_the_robot_is_stopped_held_or_releas
     assert (state.playout is None) == (ends == "release")
 
 
-def test_an_hli_restored_from_a_snapshot_behaves_identically() -> None:
-    bench = Bench()
+def test_an_hli_restored_from_a_snapshot_behaves_identically(bench: Bench) -> None:
     for seq in range(1, 20):
         bench.turn()
         bench.answer(max(100, bench.cycle - 5), seq)
