@@ -105,17 +105,8 @@ class Advice:
 
     def as_dict(self) -> dict[str, Any]:
         """The answer as a JSON object, in SI units."""
-        return {
-            "cell": self.cell,
-            "robot": self.robot,
-            "joints": list(self.joints),
-            "method": self.method,
-            "seed": self.seed,
-            "weights": self.weights,
-            "trade_off": None if self.trade_off is None else list(self.trade_off),
+        return vars(self) | {
             "hands": {name: pose.tolist() for name, pose in self.hands.items()},
-            "trials": self.trials,
-            "elapsed_s": self.elapsed_s,
             "word": self.word or None,
             "options": [_as_dict(rank, option) for rank, option in enumerate(self.options, start=1)],
             "executed": None if self.executed is None else asdict(self.executed),

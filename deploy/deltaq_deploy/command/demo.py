@@ -18,6 +18,7 @@ from deltaq_deploy.command.console import (
     prefixed_log,
     print_json,
     print_table,
+    progress_bar,
     shown_compiled_ahead,
 )
 from deltaq_deploy.command.options import CellOption, ConsoleOption, JsonOption
@@ -133,18 +134,14 @@ def _wait(
 
     `on_settled` is called once, when the controllers have begun.
     """
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
     from deltaq_deploy.launch.child_process import Exited, Ready
     from deltaq_deploy.launch.launcher import Interrupted, describe_exit
 
     begin = time.monotonic()
     told_s, settled = 0.0, False
-    columns = (TextColumn("the camera follows"), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=output, transient=True, disable=not output.is_terminal) as progress:
-        task = progress.add_task("", total=duration_s)
+    with progress_bar("the camera follows") as move:
         while (elapsed := time.monotonic() - begin) < duration_s:
-            progress.update(task, completed=elapsed)
+            move(round(elapsed * 1e3), round(duration_s * 1e3))
             if not settled and elapsed >= SETTLED_S:
                 settled = True
                 on_settled()
@@ -256,19 +253,11 @@ def show(summary: dict[str, Any]) -> None:
     def ms(value: float | None) -> str | None:
         return None if value is None else f"{value * 1000:.2f}"
 
-    rows = []
-    for name, robot in summary["robots"].items():
-        cycles = robot["cycles"]
-        rows.append(
-            (
-                name,
-                cycles["count"],
-                robot["missed"],
-                ms(cycles["period_median_s"]),
-                ms(cycles["period_p99_s"]),
-                ms(cycles["period_max_s"]),
-            )
-        )
+    periods = ("period_median_s", "period_p99_s", "period_max_s")
+    rows = [
+        (name, robot["cycles"]["count"], robot["missed"], *(ms(robot["cycles"][each]) for each in periods))
+        for name, robot in summary["robots"].items()
+    ]
     print_table(
         f"cycles of {summary['cycle_s'] * 1000:g} ms, as a client saw them",
         ("robot", "seen", "missed", "median ms", "p99 ms", "longest ms"),

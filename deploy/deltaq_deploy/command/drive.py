@@ -92,6 +92,8 @@ def drive(
     json: JsonOption = False,
 ) -> None:
     """Drive a robot by hand or by script; however the drive ends, the robot comes to rest and is released."""
+    import asyncio
+
     from deltaq_deploy.command.drive_display import show
     from deltaq_deploy.launch.cell_connection import described, known_robot
 
@@ -104,12 +106,13 @@ def drive(
                 "a script couples no master; leave out one of both", param_hint="--master"
             )
         known_robot(description, master)
-    advised = _Advised(weights_of(criterion, "--criterion"), two_criteria(trade_off), hands_may_leave)
+    weights, criteria = weights_of(criterion, "--criterion"), two_criteria(trade_off)
+    advised = (weights, jerk_time_s, criteria, hands_may_leave)
     led = None if master is None else (master, master_scale)
-    choice = _Choice(description, robot, mode, frame, advised, script, device, led, speed_m_s, jerk_time_s)
+    choice = _Choice(description, robot, mode, frame, advised, script, device, led, speed_m_s)
     with ExitStack() as terminal:
         # a terminal is given back last: keys that are still held are not for the shell
-        summary, error = choice.run(terminal)
+        summary, error = asyncio.run(choice.drive(terminal))
         if json:
             print_json(summary)
         else:
@@ -138,30 +141,20 @@ def _check(mode: str, frame: str, device: str, is_scripted: bool) -> None:
 
 
 @dataclass(frozen=True)
-class _Advised:
-    """How the advisor chooses options."""
-
-    weights: dict[str, float] | None
-    trade_off: tuple[str, str] | None
-    hands_may_leave: bool
-
-
-@dataclass(frozen=True)
 class _Choice:
-    """Options of the drive."""
+    """Options of the drive; `advised` are the last arguments of `teleoperator_for`."""
 
     cell: CellDescription
     robot: str
     mode: str
     frame: str
-    advised: _Advised
+    advised: tuple[dict[str, float] | None, float, tuple[str, str] | None, bool]
     script: Path | None
     device: str
     led: tuple[str, float] | None
     speed_m_s: float
-    jerk_time_s: float
 
-    def run(self, terminal: ExitStack) -> tuple[dict[str, Any], DeltaqError | None]:
+    async def drive(self, terminal: ExitStack) -> tuple[dict[str, Any], DeltaqError | None]:
         """Drive, and return the summary and the error that ended the drive, if one did.
 
         Args:
@@ -172,37 +165,19 @@ class _Choice:
         """
         import asyncio
 
-        return asyncio.run(self._drive(terminal))
-
-    async def _drive(self, terminal: ExitStack) -> tuple[dict[str, Any], DeltaqError | None]:
-        import asyncio
-
         from deltaq_controllers.live import ControlStatistics
         from deltaq_controllers.teleoperation import DriveLog, SignalLog, teleoperate, teleoperator_for
         from deltaq_deploy.command.drive_display import Display, summary
-        from deltaq_deploy.launch.cell_connection import OtherCellError
+        from deltaq_deploy.launch.cell_connection import Where, check_same
         from deltaq_protocol import connect
         from deltaq_protocol.driving import DrivingMode, Frame
 
         async with connect(self.cell.hli, client="deltaq drive") as running:
-            if running.description.cell != self.cell.cell:
-                raise OtherCellError(
-                    f"{self.cell.hli} serves cell {running.description.cell}, not {self.cell.cell}; "
-                    "name the right one with --cell"
-                )
+            check_same(Where(self.cell.hli, self.cell.cell), running.description)
             cycle_s = running.description.cycle_s
             with ExitStack() as stack:
-                modes, advised = (DrivingMode(self.mode), Frame(self.frame)), self.advised
-                teleoperator = teleoperator_for(
-                    running,
-                    self.robot,
-                    stack,
-                    *modes,
-                    advised.weights,
-                    self.jerk_time_s,
-                    advised.trade_off,
-                    advised.hands_may_leave,
-                )
+                mode, frame = DrivingMode(self.mode), Frame(self.frame)
+                teleoperator = teleoperator_for(running, self.robot, stack, mode, frame, *self.advised)
                 log, statistics = DriveLog(teleoperator, cycle_s), ControlStatistics()
                 signals, enough = SignalLog(), asyncio.Event()
                 for number in _ENDING:

@@ -89,7 +89,7 @@ def _tell(plan: KrcPlan, files: tuple[KrcFile, ...], folder: Path, json: bool) -
     from deltaq_deploy.krc.files import notes_on
     from deltaq_deploy.krc.plan import written_for
 
-    notes = notes_on(plan)
+    notes = list(notes_on(plan))
     if json:
         listed = [
             {"file": str(folder / file.name), "copy_to": file.copy_to or None, "what": file.what}

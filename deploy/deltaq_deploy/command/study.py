@@ -157,17 +157,18 @@ def experiment(
         "record": record,
     }
     report = _run(name, options, figure)
-    _told(report, report, json)
+    _told(report, json)
     if any(report["limits"].values()):
         raise typer.Exit(BAD)
 
 
-def _told(report: dict[str, Any], shown: dict[str, Any], json: bool) -> None:
-    """Print a report as JSON, or a part of it as a table."""
+def _told(report: dict[str, Any], json: bool, controller: str = "adversaries") -> None:
+    """Print a report as JSON, or as a table."""
     if json:
         print_json(report)
     else:
-        _show(shown)
+        title = f"{report['experiment']} with the {report.get('controller', controller)} controller"
+        print_table(title, ("what", "value"), flat(report))
 
 
 def _run(name: Experiment, asked: dict[str, Any], figure: Path | None) -> dict[str, Any]:
@@ -203,16 +204,9 @@ def _attack(cell: str, seed: int, duration_s: float, json: bool) -> None:
     with progress_bar(f"attack, {duration_s:g} s") as move:
         outcome = run(cell, seed=seed, duration_s=duration_s, on_cycle=move)
     report = outcome.model_dump(mode="json")
-    _told(report, report | {"controller": "adversaries"}, json)
+    _told(report, json)
     if outcome.violations or any(report["limits"].values()):
         raise typer.Exit(BAD)
-
-
-def _show(report: dict[str, Any]) -> None:
-
-    print_table(
-        f"{report['experiment']} with the {report['controller']} controller", ("what", "value"), flat(report)
-    )
 
 
 def _peg_and_valve(cell: str, robot: str | None, mode: list[str] | None, seeds: int, json: bool) -> None:
@@ -390,17 +384,13 @@ def show_run(run: LiveRun, number: int) -> None:
             print_table(title, ("because", "cycles"), robot.braked.items())
     spent = sorted(run.processor_us.items(), key=lambda item: -item[1])
     title = f"run {number}: processor time and wake-ups of a cycle"
-    print_table(
-        title,
-        ("process", "µs", "wake-ups"),
-        [(name, f"{us:.0f}", _text(run.wakeups[name], 1)) for name, us in spent],
-    )
-    title = f"run {number}: the same messages in bare Python"
-    print_table(
-        title,
-        ("process", "µs", "wake-ups"),
-        [(name, f"{us:.0f}", _text(run.bare.wakeups[name], 1)) for name, us in run.bare.processor_us.items()],
-    )
+    bare = f"run {number}: the same messages in bare Python"
+    for name, used, woken in (
+        (title, spent, run.wakeups),
+        (bare, list(run.bare.processor_us.items()), run.bare.wakeups),
+    ):
+        costs = [(process, f"{us:.0f}", _text(woken[process], 1)) for process, us in used]
+        print_table(name, ("process", "µs", "wake-ups"), costs)
     figures = [
         (
             row.what,

@@ -1,6 +1,6 @@
 """The files of a KRC: their texts, their destination on the controller, and writing them into a folder."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from xml.sax.saxutils import escape, quoteattr
@@ -256,31 +256,26 @@ def files_of(plan: KrcPlan) -> tuple[KrcFile, ...]:
     return tuple(files)
 
 
-def notes_on(plan: KrcPlan) -> tuple[str, ...]:
+def notes_on(plan: KrcPlan) -> Iterator[str]:
     """Steps that remain to be done by hand."""
-    notes = [
-        "nothing here has been tried on a real controller of that version: read the files, and start in T1"
-    ]
+    yield "nothing here has been tried on a real controller of that version: read the files, and start in T1"
     if is_loopback(plan.address):
-        notes.append(
+        yield (
             f"IP_NUMBER is {plan.address}, which no real KRC reaches: set driver.address to this machine's address on "
             "the robot's network, or give it with --address"
         )
     if plan.stop is None:
-        notes.append("the cell names no driver.stop, so the PC cannot end the motion")
+        yield "the cell names no driver.stop, so the PC cannot end the motion"
     loose = [signal.name for signal in (*plan.inputs, *plan.outputs) if signal.digital is None]
     if plan.krc == "krc2" and (plan.inputs or plan.outputs):
-        notes.append(
-            "digital signals are in the telegrams but linked to nothing on a KR C2: link them by the RSI manual"
-        )
+        yield "digital signals are in the telegrams but linked to nothing on a KR C2: link them by the RSI manual"
     elif loose:
-        notes.append(
+        yield (
             f"{', '.join(loose)}: in the telegrams but linked to nothing; give the KRC's $IN or $OUT with "
             "--digital NAME=NUMBER"
         )
     if plan.krc == "krc2":
-        notes.append("the number of decimals is the KR C2's own setting: check it with `deltaq krc sniff`")
-    return tuple(notes)
+        yield "the number of decimals is the KR C2's own setting: check it with `deltaq krc sniff`"
 
 
 def write_files(files: tuple[KrcFile, ...], folder: Path, *, force: bool = False) -> None:

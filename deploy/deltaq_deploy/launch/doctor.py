@@ -16,7 +16,7 @@ from deltaq_cell.description import CellDescription
 from deltaq_deploy.launch.launcher import check_ports
 from deltaq_deploy.launch.program import LaunchError
 from deltaq_deploy.launch.rates import percentile
-from deltaq_deploy.launch.services import cell_services, console_service
+from deltaq_deploy.launch.services import Service, cell_services, console_service
 from deltaq_protocol.real_time import SchedulingPriority
 
 
@@ -121,25 +121,15 @@ BINDINGS = ("pinocchio", "coal")
 
 def examine(cell: CellDescription, cell_name: str) -> list[DoctorFinding]:
     """Check this machine for one cell."""
-    return [
-        _python(),
-        _cores(),
-        *examine_real_time(),
-        _clock(cell.cycle_s),
-        *_ports(cell, cell_name),
-        *_packages(),
-        *_bindings(),
-    ]
+    services = (*cell_services(cell, cell_name), console_service(cell, cell_name, ()))
+    machine = [_python(), _cores(), *examine_real_time(), _clock(cell.cycle_s)]
+    return [*machine, *map(_ports, services), *map(_package, PACKAGES), *map(_binding, BINDINGS)]
 
 
 def _python() -> DoctorFinding:
     fit = sys.version_info >= (3, 11)
-    return DoctorFinding(
-        "Python",
-        platform.python_version(),
-        Rating.GOOD if fit else Rating.BAD,
-        "" if fit else "3.11 or newer",
-    )
+    found = platform.python_version()
+    return DoctorFinding("Python", found, *((Rating.GOOD,) if fit else (Rating.BAD, "3.11 or newer")))
 
 
 def _cores() -> DoctorFinding:
@@ -167,37 +157,27 @@ def _clock(cycle_s: float) -> DoctorFinding:
     )
 
 
-def _ports(cell: CellDescription, cell_name: str) -> list[DoctorFinding]:
-    findings = []
-    for service in (*cell_services(cell, cell_name), console_service(cell, cell_name, ())):
-        ports = ", ".join(f"{listener.transport} {listener.port}" for listener in service.listens)
-        try:
-            check_ports([service])
-        except LaunchError as error:
-            findings.append(DoctorFinding(f"ports of {service.name}", ports, Rating.BAD, str(error)))
-        else:
-            findings.append(DoctorFinding(f"ports of {service.name}", f"{ports} free", Rating.GOOD))
-    return findings
+def _ports(service: Service) -> DoctorFinding:
+    what = f"ports of {service.name}"
+    ports = ", ".join(f"{listener.transport} {listener.port}" for listener in service.listens)
+    try:
+        check_ports([service])
+    except LaunchError as error:
+        return DoctorFinding(what, ports, Rating.BAD, str(error))
+    return DoctorFinding(what, f"{ports} free", Rating.GOOD)
 
 
-def _packages() -> list[DoctorFinding]:
-    findings = []
-    for package in PACKAGES:
-        try:
-            findings.append(DoctorFinding(package, version(package), Rating.GOOD))
-        except PackageNotFoundError:
-            findings.append(DoctorFinding(package, "missing", Rating.BAD, "pip install 'deltaq[all]'"))
-    return findings
+def _package(name: str) -> DoctorFinding:
+    try:
+        return DoctorFinding(name, version(name), Rating.GOOD)
+    except PackageNotFoundError:
+        return DoctorFinding(name, "missing", Rating.BAD, "pip install 'deltaq[all]'")
 
 
-def _bindings() -> list[DoctorFinding]:
-    findings = []
-    for module in BINDINGS:
-        try:
-            importlib.import_module(module)
-        except ImportError as error:
-            advice = "install the library named (libgomp1 on Debian and Ubuntu), or pip install 'deltaq[all]'"
-            findings.append(DoctorFinding(f"import {module}", str(error), Rating.BAD, advice))
-        else:
-            findings.append(DoctorFinding(f"import {module}", "works", Rating.GOOD))
-    return findings
+def _binding(module: str) -> DoctorFinding:
+    try:
+        importlib.import_module(module)
+    except ImportError as error:
+        advice = "install the library named (libgomp1 on Debian and Ubuntu), or pip install 'deltaq[all]'"
+        return DoctorFinding(f"import {module}", str(error), Rating.BAD, advice)
+    return DoctorFinding(f"import {module}", "works", Rating.GOOD)

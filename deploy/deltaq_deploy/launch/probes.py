@@ -59,22 +59,27 @@ def probe(service: Service, cell: CellDescription) -> ProbeAnswer:
     """
     if service.probe is None or service.endpoint is None:
         raise NoProbeError(f"{service.name} reports no health")
-    match service.probe:
-        case Probe.HEALTH_TOPIC:
-            return _ask_health_topic(service.name, service.endpoint, cell)
-        case Probe.STATUS_QUERY:
-            return _ask_hli(cell)
-        case Probe.PANEL:
-            return _ask_panel(service.name, service.endpoint)
-        case Probe.WEB:
-            return _ask_web(service.name, service.endpoint)
-        case Probe.VIDEO:
-            return _ask_video(service.name, service.endpoint, cell)
-        case _:
-            assert_never(service.probe)
+    try:
+        match service.probe:
+            case Probe.HEALTH_TOPIC:
+                return _ask_health_topic(service.name, cell)
+            case Probe.STATUS_QUERY:
+                return _ask_hli(cell)
+            case Probe.PANEL:
+                return _ask_panel(service.endpoint)
+            case Probe.WEB:
+                return _ask_web(service.endpoint)
+            case Probe.VIDEO:
+                return _ask_video(service.endpoint, cell)
+            case _:
+                assert_never(service.probe)
+    except (OSError, ValueError) as error:
+        raise ServiceUnreachableError(
+            f"{service.name} at {service.endpoint} did not answer within {TIMEOUT_S:g} s; is the cell up (`deltaq up`)?"
+        ) from error
 
 
-def _ask_health_topic(name: str, endpoint: str, cell: CellDescription) -> ProbeAnswer:
+def _ask_health_topic(name: str, cell: CellDescription) -> ProbeAnswer:
     import zenoh
 
     from deltaq_services.guarded_realm import open_watching_session
@@ -86,7 +91,7 @@ def _ask_health_topic(name: str, endpoint: str, cell: CellDescription) -> ProbeA
             deadline = time.monotonic() + TIMEOUT_S
             while (sample := subscriber.try_recv()) is None:
                 if time.monotonic() > deadline:
-                    raise _silent(name, endpoint)
+                    raise TimeoutError
                 time.sleep(0.01)
             health = unpack(Health, message_in(sample.payload.to_bytes()))
             return ProbeAnswer(health.healthy, health.detail)
@@ -105,36 +110,21 @@ def _ask_hli(cell: CellDescription) -> ProbeAnswer:
     return ProbeAnswer(True, f"robots: {len(status.robots)}{lagging}")
 
 
-def _ask_panel(name: str, endpoint: str) -> ProbeAnswer:
+def _ask_panel(endpoint: str) -> ProbeAnswer:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as panel:
         panel.settimeout(TIMEOUT_S)
-        try:
-            panel.connect(Endpoint.parse(endpoint).address)
-            panel.send(b'{"op":"status"}')
-            answer = _Panel.model_validate_json(panel.recv(65536))
-        except (OSError, ValueError) as error:
-            raise _silent(name, endpoint) from error
+        panel.connect(Endpoint.parse(endpoint).address)
+        panel.send(b'{"op":"status"}')
+        answer = _Panel.model_validate_json(panel.recv(65536))
     return ProbeAnswer(answer.ok, answer.message or answer.state)
 
 
-def _ask_web(name: str, endpoint: str) -> ProbeAnswer:
-    try:
-        with urlopen(f"{endpoint}/health", timeout=TIMEOUT_S) as reply:
-            answer = _Web.model_validate_json(reply.read(65536))
-    except (OSError, ValueError) as error:
-        raise _silent(name, endpoint) from error
+def _ask_web(endpoint: str) -> ProbeAnswer:
+    with urlopen(f"{endpoint}/health", timeout=TIMEOUT_S) as reply:
+        answer = _Web.model_validate_json(reply.read(65536))
     return ProbeAnswer(answer.healthy, answer.detail)
 
 
-def _ask_video(name: str, stream: str, cell: CellDescription) -> ProbeAnswer:
-    try:
-        message = newest_picture(video_socket(cell, stream), TIMEOUT_S)
-    except (OSError, ValueError) as error:
-        raise _silent(name, stream) from error
+def _ask_video(stream: str, cell: CellDescription) -> ProbeAnswer:
+    message = newest_picture(video_socket(cell, stream), TIMEOUT_S)
     return ProbeAnswer(not message.words, message.words or "pictures come")
-
-
-def _silent(name: str, endpoint: str) -> ServiceUnreachableError:
-    return ServiceUnreachableError(
-        f"{name} at {endpoint} did not answer within {TIMEOUT_S:g} s; is the cell up (`deltaq up`)?"
-    )

@@ -2,6 +2,7 @@
 
 import re
 from collections import Counter, deque
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -195,31 +196,22 @@ class WireStatistics:
             problems=tuple(self._problems(cycle, self._steps.total() - usual)),
         )
 
-    def _problems(self, cycle: Spread | None, jumps: int) -> list[str]:
-        problems = []
+    def _problems(self, cycle: Spread | None, jumps: int) -> Iterator[str]:
         if len(self._peers) > 1:
-            problems.append(
+            yield (
                 f"{len(self._peers)} senders ({', '.join(self._peers)}): a second KRC, or a test program that was left "
                 "running; give each robot a port of its own"
             )
         if self._garbled:
-            problems.append(
-                f"{self._garbled} datagrams are no telegrams of a KRC: another program sends here"
-            )
+            yield f"{self._garbled} datagrams are no telegrams of a KRC: another program sends here"
         if jumps:
-            problems.append(
-                f"IPOC jumped {jumps} times: telegrams are lost on the way, or RSI was started again"
-            )
+            yield f"IPOC jumped {jumps} times: telegrams are lost on the way, or RSI was started again"
         if self._last is not None and self._last.ipoc > MAX_IPOC:
-            problems.append(
-                f"IPOC is {self._last.ipoc}: a KRC's has 32 bit, and the Robot Server answers no other"
-            )
+            yield f"IPOC is {self._last.ipoc}: a KRC's has 32 bit, and the Robot Server answers no other"
         if self._decimals == 1:
-            problems.append(
-                "positions have one decimal, a tenth of a degree: set Precision of the ETHERNET object to 4"
-            )
+            yield "positions have one decimal, a tenth of a degree: set Precision of the ETHERNET object to 4"
         if cycle and self._cycle_s and not 0.8 < cycle.median_s / self._cycle_s < 1.25:
-            problems.append(
+            yield (
                 f"the cycle is {cycle.median_s * 1e3:.2f} ms, the cell's {self._cycle_s * 1e3:g} ms: correct "
                 "cycle_s, or the option of RSI_ON (#IPO_FAST 4 ms, #IPO 12 ms)"
             )
@@ -228,18 +220,11 @@ class WireStatistics:
             missing = [name for name in self._expected if name not in came]
             extra = [name for name in came if name not in self._expected]
             if missing:
-                problems.append(
-                    f"does not send {', '.join(missing)}, which the cell's file lists in SEND: load the same file"
-                )
+                yield f"does not send {', '.join(missing)}, which the cell's file lists in SEND: load the same file"
             if extra:
-                problems.append(
-                    f"sends {', '.join(extra)}, which the cell's file does not list in SEND: load the same file"
-                )
+                yield f"sends {', '.join(extra)}, which the cell's file does not list in SEND: load the same file"
             if not missing and not extra and came != self._expected:
-                problems.append(
-                    "sends its elements in another order than the cell's file: load the same file"
-                )
-        return problems
+                yield "sends its elements in another order than the cell's file: load the same file"
 
 
 def spread(times: deque[float]) -> Spread | None:
