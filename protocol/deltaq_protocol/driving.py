@@ -17,7 +17,7 @@ from deltaq_protocol.messages import Joints, JointValue, Message, Real
 WISH_S = 0.25
 """The motion of a command ends after this time unless the next one renews it [s]."""
 
-MOST_WAY_POINTS = 32
+MOST_WAY_POINTS = 128
 """Number of configurations that describe a path."""
 
 Coordinate = Annotated[float, Field(ge=-100.0, le=100.0, allow_inf_nan=False)]
@@ -171,14 +171,15 @@ class ReachJoints(Message):
 
 
 class DoRoutine(Message):
-    """Run a routine from its step `first` (from 0) on; or pause the one that runs, go on with it, or give it up.
+    """Run a routine from its step `first` (from 0) on, or plan it; or pause the one that runs, go on, or give it up.
 
+    `DriverWays` has what was planned, and nothing moves.
     Without `equipment` it is one that needs none. What else the robot is told to do waits until the routine has ended.
     """
 
     type: Literal["routine"] = "routine"
     id: RequestId
-    action: Literal["run", "pause", "go_on", "abort"]
+    action: Literal["plan", "run", "pause", "go_on", "abort"]
     routine: Annotated[str, Field(max_length=64, pattern=r"^[A-Za-z0-9_-]*$")] = ""
     equipment: Annotated[str, Field(max_length=64)] = ""
     first: Annotated[int, Field(ge=0, le=1000)] = 0
@@ -317,11 +318,16 @@ class Way(Message):
 
 
 class DriverWays(Message):
-    """All paths offered now, sent when they change; none after a change of mode."""
+    """All paths offered now, sent when they change; none after a change of mode.
+
+    With `routine` and `equipment` it is the whole path of a routine that was planned.
+    """
 
     type: Literal["ways"] = "ways"
     mode: DrivingMode
     ways: tuple[Way, ...] = ()
+    routine: str = ""
+    equipment: str = ""
 
 
 DriverMessage = DriverAnswer | DriverReport | DriverWays

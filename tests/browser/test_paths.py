@@ -249,3 +249,29 @@ def test_holding_a_button_takes_a_robot_from_another_client(opened, served_cell)
             "[...document.querySelectorAll('.log li')].some((line) => line.textContent.includes('from night shift'))"
         )
         give_back(page)
+
+
+def test_a_routine_is_shown_before_it_starts_and_goes_on_after_a_stop_and_a_reset(opened):
+    page = opened()
+    in_mode(page, "joint")
+    page.locator("[data-item=valve_1]").click()
+    page.locator("[data-routine=turn]").click()
+    page.wait_for_function("deltaq.ways.planned?.routine === 'turn'")
+    (way,) = page.evaluate("deltaq.ways.planned.ways")
+    assert len(way["points"]) > 50
+    assert "the gate would now admit: admitted" in page.locator(".routines .forecast").text_content()
+    assert page.evaluate("!deltaq.live.robot('gr').routine"), "nothing moves yet"
+
+    routine = "deltaq.live.robot('gr').routine"
+    page.get_by_role("button", name="Hold to start").hover()
+    page.mouse.down()
+    page.wait_for_function(f"{routine}?.step === 5")
+    page.mouse.up()
+    page.evaluate("deltaq.live.send('stop')")
+    page.wait_for_function(f"{routine}.end === 'held'")
+    page.get_by_role("button", name="Reset all").click()
+    page.wait_for_function("Object.values(deltaq.live.status.robots).every(({phase}) => phase === 'ready')")
+    page.get_by_role("button", name="Resume").click()
+    page.wait_for_function(f"{routine}.step > 6")
+    page.get_by_role("button", name="Give up").click()
+    page.wait_for_function(f"{routine}.end === 'aborted'")

@@ -100,7 +100,7 @@ def test_a_configuration_and_a_step_reach_the_driver(bench, desk):
 
 def test_a_routine_is_asked_of_the_driver_and_its_progress_is_shown(bench, desk):
     ack = desk.send("routine", robot="fr", action="turn", routine="turn")
-    assert ack.text.startswith("action: should be 'run', 'pause', 'go_on' or 'abort', got 'turn'")
+    assert ack.text.startswith("action: should be 'plan', 'run', 'pause', 'go_on' or 'abort', got 'turn'")
     assert desk.send("routine", robot="fr", action="run", routine="../turn").outcome is AckOutcome.REFUSED
     asked = desk.send("routine", robot="fr", action="run", routine="turn", equipment="valve_1", first=3)
     assert asked.outcome is ASKED
@@ -118,3 +118,9 @@ def test_a_routine_is_asked_of_the_driver_and_its_progress_is_shown(bench, desk)
     bench.core.driver_said("fr", report, bench.now_s)
     robot = desk.status().robots["fr"]
     assert (robot.routine, robot.routines) == (progress, {"valve": ("turn",)})
+    planned = driving.DriverWays(mode=driving.DrivingMode.JOINT, routine="turn", equipment="valve_1")
+    (told, *_) = bench.core.driver_said("fr", planned, bench.now_s)
+    assert (told.message.robot, told.message.equipment) == ("fr", "valve_1")
+    assert bench.core.robots["fr"].ways is None, (
+        "it is not offered, and a page that comes later does not see it"
+    )

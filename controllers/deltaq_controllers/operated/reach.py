@@ -19,7 +19,7 @@ from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.practice import CYCLES
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.driving import MOST_WAY_POINTS, DrivingMode, NearPair, OperatorCommand, Search, Way
+from deltaq_protocol.driving import DrivingMode, NearPair, OperatorCommand, Search, Way
 
 # Reports of offered paths: options of the advisor, or the path to a pose.
 
@@ -72,9 +72,9 @@ def search_of(mode: AdvisorMode) -> Search:
     )
 
 
-def points(path: Array) -> tuple[tuple[float, ...], ...]:
-    """Configurations of a path (P, n), no more than are sent, including its ends."""
-    count = min(len(path), MOST_WAY_POINTS)
+def points(path: Array, most: int = 32) -> tuple[tuple[float, ...], ...]:
+    """Configurations of a path (P, n), no more than are drawn, including its ends."""
+    count = min(len(path), most)
     return tuple(joints(path[index]) for index in np.linspace(0, len(path) - 1, count).round().astype(int))
 
 

@@ -135,15 +135,19 @@ class OperatedRobot:
 
     async def _do_routine(self, request: DoRoutine) -> None:
         running = self._running
-        if request.action == "run":
+        if request.action in ("plan", "run"):
             if running is not None:
                 raise ControllerError(f"{running.job.routine} runs already; give it up first")
+            asked = (self._cell, request.routine, request.equipment, self._robot, request.first)
+            if request.action == "plan":
+                way = await (await asyncio.to_thread(LiveRoutine, *asked)).way()
+                told = {"ways": (way,), "routine": request.routine, "equipment": request.equipment}
+                self._say(self._pilot.ways().model_copy(update=told))
+                return
             if self._leased is None:
                 raise ControllerError("the robot's lease is not held")
             self._pilot.rest()
-            self._routine = await asyncio.to_thread(
-                LiveRoutine, self._cell, request.routine, request.equipment, self._robot, request.first
-            )
+            self._routine = await asyncio.to_thread(LiveRoutine, *asked)
         elif running is None:
             raise ControllerError("no routine runs")
         elif request.action == "abort":

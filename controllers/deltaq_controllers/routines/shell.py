@@ -18,6 +18,7 @@ from deltaq_controllers.answers import Answers
 from deltaq_controllers.interface import View
 from deltaq_controllers.live import cell_model, where_others_are
 from deltaq_controllers.modes.practice import practise
+from deltaq_controllers.operated.reach import points
 from deltaq_controllers.routines.planner import (
     PlannedMotion,
     PlanRequest,
@@ -37,7 +38,7 @@ from deltaq_controllers.routines.run import (
     sight_of_equipment,
 )
 from deltaq_protocol.client import Cell
-from deltaq_protocol.driving import RoutineProgress
+from deltaq_protocol.driving import MOST_WAY_POINTS, RoutineProgress, Way
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.leased_robot import LeasedRobot
 from deltaq_protocol.messages import Phase, RobotState
@@ -89,6 +90,7 @@ class LiveRoutine:
         self._carrying: asyncio.Task[RoutineAnswer] | None = None
         self._noting: asyncio.Task[None] | None = None
         self._noted = 0
+        self._motions: list[PlannedMotion] = []
         self._others = where_others_are(cell, self.job.robot)
         model = self._model.robots[self.job.robot]
         self.run = RoutineRun(self.job, model, description.gate.servo_lag_s, description.cycle_s, first)
@@ -202,6 +204,7 @@ class LiveRoutine:
                 verdict = await self._cell.dry_run(robot, planned.first)
                 gate = f"{verdict.outcome}, {verdict.scale:.0%} of the first increment"
             q = planned.path[-1]
+            self._motions.append(planned)
             near = planned.clearance
             outcome = StepOutcome(
                 number + 1, plain.text, RunEnd.PLANNED, planned.duration_s, "", near.distance_m, near.pair
@@ -209,6 +212,23 @@ class LiveRoutine:
             self.run.outcomes.append(outcome)
         self.run.end = RunEnd.PLANNED
         return self.report() | {"gate": gate}
+
+    async def way(self) -> Way:
+        """The whole path, planned as `rehearse` does; it raises the same."""
+        gate, motions = (await self.rehearse())["gate"], self._motions
+        seconds = sum(motion.duration_s for motion in motions)
+        tightest = min((motion.clearance for motion in motions), key=lambda near: near.room_m)
+        each = max(2, MOST_WAY_POINTS // len(motions))
+        path = [q for motion in motions for q in points(motion.path, each)][:MOST_WAY_POINTS]
+        return Way(
+            rank=1,
+            q=path[-1],
+            points=tuple(path),
+            clearance_m=tightest.distance_m,
+            pair=tightest.pair,
+            text=f"{seconds:.0f} s, at least {1000 * tightest.distance_m:.0f} mm between "
+            f"{' and '.join(tightest.pair)}; the gate would now admit: {gate}",
+        )
 
     def _seen(self, state: RobotState, view: View, rests: bool) -> SeenCycle:
         held = ""

@@ -184,7 +184,7 @@ class DragJoints(ConsoleCommand, driving.ReachJoints):
 
 
 class AskRoutine(ConsoleCommand, driving.DoRoutine):
-    """Run a routine, pause it, go on with it, or give it up."""
+    """Plan a routine, run it, pause it, go on with it, or give it up."""
 
     robot: Name
 

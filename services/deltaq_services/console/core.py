@@ -215,8 +215,9 @@ class ConsoleCore:
         """A line of a robot's driver."""
         side = self.robots[robot]
         if isinstance(said, driving.DriverWays):
-            side.ways = WaysView(robot=robot, mode=said.mode, ways=said.ways)
-            return [ToClient(number, side.ways) for number in self.clients]
+            view = WaysView(robot=robot, **dict(said))
+            side.ways = side.ways if said.routine else view
+            return [ToClient(number, view) for number in self.clients]
         if isinstance(said, driving.DriverReport):
             side.report = said
             if said.stage is driving.DriverStage.FREE and side.seat.lost(said.doing):

@@ -9,7 +9,16 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from deltaq_protocol.driving import DrivingMode, Fraction, Frame, Grip, HandsOff, RoutineProgress, Search, Way
+from deltaq_protocol.driving import (
+    DriverWays,
+    DrivingMode,
+    Fraction,
+    Frame,
+    Grip,
+    HandsOff,
+    RoutineProgress,
+    Search,
+)
 from deltaq_protocol.messages import Count, Message, Outcome, Phase, Real, Reason, RobotState, Sight, Verdict
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 
@@ -163,13 +172,10 @@ class RobotStatusView(Message):
     inputs: dict[SignalState, bool] = {}
 
 
-class WaysView(Message):
+class WaysView(DriverWays):
     """The paths that a robot's driver offers now; sent when they change."""
 
-    type: Literal["ways"] = "ways"
     robot: str
-    mode: DrivingMode
-    ways: tuple[Way, ...] = ()
 
 
 class RecordingView(Message):

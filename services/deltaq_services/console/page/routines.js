@@ -2,7 +2,11 @@
 
 import { THREE } from "./vendor/three.js";
 import { el, say } from "./dom.js";
+import { holdsFor } from "./hold.js";
 import { bodyShell } from "./robots.js";
+import { WayPicture } from "./ways.js";
+
+const HOLD_MS = 600;
 
 const ENDS = { done: "done", aborted: "given up", held: "held", failed: "failed", left: "left" };
 const words = (name) => name.replaceAll("_", " ");
@@ -46,9 +50,12 @@ function itemMarks(stage, structure, items, choose) {
   };
 }
 
-/** @param context {live, scene, driven, stage, structure}; ask(type, fields) sends a command for the driven robot. */
-export function routinesPanel({ live, scene, driven, stage, structure }, ask) {
+/** @param context {live, scene, driven, stage, structure, views, ways}; ask(type, fields) sends a command for the driven robot. */
+export function routinesPanel({ live, scene, driven, stage, structure, views, ways }, ask) {
   let chosen = "";
+  let wanted = null; // what is planned, before it may be started
+  let refusal = "";
+  const picture = new WayPicture(stage, views);
   const list = el("div", { class: "items", role: "radiogroup", "aria-label": "Equipment" });
   for (const { name, kind } of scene.equipment) {
     list.append(el("button", { role: "radio", "data-item": name, title: words(kind), onclick: () => choose(chosen === name ? "" : name) }, words(name)));
@@ -59,13 +66,35 @@ export function routinesPanel({ live, scene, driven, stage, structure }, ask) {
   const pause = el("button", { onclick: () => ask("routine", { action: live.robot(driven.name)?.routine?.paused ? "go_on" : "pause" }) }, "Pause");
   const abort = el("button", { onclick: () => ask("routine", { action: "abort" }) }, "Give up");
   const resume = el("button", { onclick: resumed }, "Resume");
-  const box = el("section", { class: "routines" }, el("h2", {}, "Equipment"), list, doable, doing, progress, el("div", { class: "row" }, pause, resume, abort));
+  const start = el("button", { class: "primary slow" }, "Hold to start");
+  const back = el("button", { onclick: () => want(null) }, "Back");
+  const outlook = el("p", { class: "forecast", role: "status" });
+  const forecast = el("div", {}, el("div", { class: "row" }, start, back), outlook);
+  holdsFor(start, HOLD_MS, () => {
+    ask("routine", { action: "run", ...wanted });
+    want(null);
+  });
+  const box = el("section", { class: "routines" }, el("h2", {}, "Equipment"), list, doable, forecast, doing, progress, el("div", { class: "row" }, pause, resume, abort));
   const mark = itemMarks(stage, structure, scene.equipment, (name) => choose(name));
 
   function choose(name) {
     chosen = name;
     mark(name);
+    want(null);
+  }
+
+  /** Plan a routine and show the whole motion; with null show none. */
+  function want(routine) {
+    wanted = routine;
+    ways.planned = null;
+    refusal = "";
     show();
+    if (!wanted) return;
+    live.send("routine", { robot: driven.name, action: "plan", ...wanted }, ({ outcome, text }) => {
+      if (wanted !== routine || ["asked", "done"].includes(outcome)) return;
+      refusal = text;
+      show();
+    });
   }
 
   function resumed() {
@@ -88,12 +117,18 @@ export function routinesPanel({ live, scene, driven, stage, structure }, ask) {
     if (doable.dataset.told !== told) {
       doable.dataset.told = told;
       doable.replaceChildren(...names.map((routine) =>
-        el("button", { "data-routine": routine, onclick: () => ask("routine", { action: "run", routine, equipment: item?.name ?? "" }) }, words(routine))));
+        el("button", { "data-routine": routine, onclick: () => want({ routine, equipment: item?.name ?? "" }) }, words(routine))));
     }
     const { routine } = robot;
     const runs = !!routine && !routine.end;
     const cannot = !!live.cannotDrive(driven.name) || !robot.lease.mine;
     for (const button of doable.children) button.disabled = cannot || runs;
+    const planned = ways.planned;
+    const isPlanned = !!wanted && planned?.robot === driven.name && planned.routine === wanted.routine && planned.equipment === wanted.equipment;
+    forecast.hidden = !wanted || runs;
+    picture.show(driven.name, isPlanned && !runs ? planned.ways[0] : null);
+    say(outlook, refusal || (isPlanned ? `Forecast: ${planned.ways[0].text}.` : "Planning …"));
+    start.disabled = cannot || !isPlanned;
     say(doing, routine ? progressText(routine) : robot.lease.mine ? "" : "Take the robot, and it can work on the equipment.");
     progress.style.visibility = runs ? "" : "hidden";
     progress.value = routine?.done ?? 0;
@@ -102,5 +137,6 @@ export function routinesPanel({ live, scene, driven, stage, structure }, ask) {
     pause.disabled = abort.disabled = resume.disabled = cannot;
     say(pause, routine?.paused ? "Go on" : "Pause");
   }
+  ways.addEventListener("change", show);
   return { box, show };
 }

@@ -6,6 +6,7 @@ import { Kinematics } from "./kinematics.js";
 const CLEAR = "#8fd0ff";
 const BLOCKED = "#ff3d6e";
 const RUN_MS = 1500; // a ghost runs along its way once, and then stands at its end
+const POINT_MS = 45; // a long way takes longer
 const MOVES_M = 0.02;
 const HALF_LINE_M = 0.007;
 
@@ -15,8 +16,10 @@ export class Ways extends EventTarget {
     super();
     this.live = live;
     this._told = new Map();
+    this.planned = null; // the whole of a routine
     live.connection.addEventListener("ways", ({ detail }) => {
-      this._told.set(detail.robot, detail);
+      if (detail.routine) this.planned = detail;
+      else this._told.set(detail.robot, detail);
       this.dispatchEvent(new Event("change"));
     });
   }
@@ -122,7 +125,7 @@ export class WayPicture {
 
   _run(now) {
     if (!this._shown?.runs) return;
-    const share = (now - this._shown.since) / RUN_MS;
+    const share = (now - this._shown.since) / Math.max(RUN_MS, POINT_MS * this._shown.points.length);
     this._shown.end.place(along(this._shown.points, share));
     this._shown.runs = share < 1;
     this.stage.ask();
