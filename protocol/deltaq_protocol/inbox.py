@@ -2,7 +2,9 @@
 
 import asyncio
 import contextlib
+import ctypes
 import logging
+import threading
 from collections import deque
 from collections.abc import Callable
 from typing import Any, Generic, TypeVar
@@ -104,11 +106,11 @@ class ServedInLoop:
 
     def subscribe(self, key: str, put: Callable[[zenoh.Sample], None]) -> None:
         """Have zenoh's threads call `put` with the samples of a key."""
-        self._declared.append(self._session.declare_subscriber(key, _called(put)))
+        self._declared.append(self._session.declare_subscriber(key, called_in_zenohs_threads(put)))
 
     def answer(self, key: str, put: Callable[[zenoh.Query], None]) -> None:
         """Have zenoh's threads call `put` with the queries of a key."""
-        self._declared.append(self._session.declare_queryable(key, _called(put)))
+        self._declared.append(self._session.declare_queryable(key, called_in_zenohs_threads(put)))
 
     def close(self) -> None:
         """Stop listening, then close: a session that closes with callbacks still running can panic."""
@@ -119,5 +121,20 @@ class ServedInLoop:
         self._session.close()
 
 
-def _called(put: Callable[[Any], None]) -> Any:
-    return zenoh.handlers.Callback(put, indirect=False)
+_known = threading.local()
+
+
+def called_in_zenohs_threads(put: Callable[[Any], None]) -> Any:
+    """A handler that calls `put` in the thread in which zenoh read the message.
+
+    In a thread that Python did not start, each call makes a thread state and maps memory for its stack, and its end
+    unmaps it. So the first call in a thread keeps the state: that saves three system calls and two page faults a
+    message.
+    """
+
+    def called(item: Any) -> None:
+        if not hasattr(_known, "state"):
+            _known.state = ctypes.pythonapi.PyGILState_Ensure()  # never released
+        put(item)
+
+    return zenoh.handlers.Callback(called, indirect=False)

@@ -18,6 +18,7 @@ from ran import ran
 from small_cell import endpoint
 
 from deltaq_protocol.errors import ServiceUnreachableError
+from deltaq_protocol.inbox import called_in_zenohs_threads
 from deltaq_protocol.session import MAX_SESSIONS, declare_publisher, open_session, subscribe_newest
 from deltaq_protocol.topic import Priority
 from deltaq_protocol.wire import in_order
@@ -334,3 +335,30 @@ def test_importing_the_protocol_loads_neither_pinocchio_nor_coal_nor_the_cell() 
         "sys.exit(str(heavy) if heavy else 0)\n"
     )
     ran([sys.executable, "-c", script])
+
+
+def test_a_thread_of_zenohs_keeps_its_python_state_from_one_message_to_the_next() -> None:
+    here = endpoint()
+    server = open_session(listen=[here])
+    client = open_session(connect=[here], must_connect=True)
+    kept = threading.local()
+    calls: dict[int, list[int]] = {}
+    enough = threading.Event()
+
+    def count(_: Any) -> None:
+        kept.calls = getattr(kept, "calls", 0) + 1
+        calls.setdefault(threading.get_ident(), []).append(kept.calls)
+        if sum(map(len, calls.values())) == 20:
+            enough.set()
+
+    try:
+        subscriber = client.declare_subscriber("deltaq/x", called_in_zenohs_threads(count))
+        publisher = declare_publisher(server, "deltaq/x")
+        while not enough.is_set():
+            publisher.put(b"x")
+        for numbers in calls.values():
+            assert numbers == list(range(1, len(numbers) + 1))
+        subscriber.undeclare()
+    finally:
+        client.close()
+        server.close()

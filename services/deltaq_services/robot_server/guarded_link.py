@@ -6,8 +6,6 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-import zenoh
-
 from deltaq_cell.description import CellDescription
 from deltaq_cell.identity import content_identity
 from deltaq_protocol import topics
@@ -16,6 +14,7 @@ from deltaq_protocol.envelope import Envelopes, StaleMessageError, message_in
 from deltaq_protocol.errors import ProtocolError
 from deltaq_protocol.guarded import Admission, Health, ServerState, Supervision
 from deltaq_protocol.heartbeat import Heartbeat
+from deltaq_protocol.inbox import called_in_zenohs_threads
 from deltaq_protocol.messages import Message
 from deltaq_protocol.sayings import robot_server
 from deltaq_protocol.session import declare_publisher, subscribe_newest
@@ -42,9 +41,7 @@ class CycleStamps:
     def __init__(self, stamps: Stamps, session: Any, key: str) -> None:
         self._stamps = stamps
         self._last: ServerState | None = None
-        self._subscriber = session.declare_subscriber(
-            key, zenoh.handlers.Callback(self._admission_came, indirect=False)
-        )
+        self._subscriber = session.declare_subscriber(key, called_in_zenohs_threads(self._admission_came))
 
     def published(self, state: ServerState) -> None:
         """Stamp the telegram of a cycle, and its just published state."""
