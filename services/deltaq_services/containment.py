@@ -9,7 +9,7 @@ that: their values are never written to, and where they are lists, maps, sets or
 import logging
 import traceback
 from collections import Counter, deque
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any, ClassVar, Self
 
 _WRITTEN_TO = (list, dict, set, deque)
@@ -55,17 +55,12 @@ def _copied(value: Any) -> Any:
 class Containment:
     """Restores the objects of a core after an error.
 
-    Args:
-        parts: the objects, as they are now. Their attributes are values, and flat containers of values that are there
-            from the beginning; whatever else is reached through them is a part of its own. Counters are not put back.
-
     Attributes:
         failed: whether an error occurred since the last call of `remember`.
         traceback: of the newest error that was not logged yet; empty if there was none.
     """
 
-    def __init__(self, parts: Callable[[], Iterable[object]]) -> None:
-        self._parts = parts
+    def __init__(self) -> None:
         self._containers: dict[type, tuple[str, ...]] = {}
         self._kept: list[tuple[object, dict[str, Any]]] = []
         self._logged: set[tuple[str, ...]] = set()
@@ -73,10 +68,16 @@ class Containment:
         self.failed = False
         self.traceback = ""
 
-    def remember(self) -> None:
-        """Remember the present state of the parts."""
+    def remember(self, parts: Iterable[object]) -> None:
+        """Remember the present state of all parts that may change.
+
+        Args:
+            parts: the objects, as they are now. Their attributes are values, and flat containers of values that are
+                there from the beginning; whatever else is reached through them is a part of its own. Counters are not
+                put back.
+        """
         kept = []
-        for part in self._parts():
+        for part in parts:
             attributes = part.__dict__.copy()
             try:
                 names = self._containers[part.__class__]

@@ -190,7 +190,7 @@ class Console:
         self._tasks: set[asyncio.Task[None]] = set()
         self._newest_stop = ""
         self._heartbeat = Heartbeat()
-        self._containment = Containment(lambda: ())
+        self._containment = Containment()
         self.epoch_s = time.time() - time.monotonic()
         self.pictures = {one.name: video_socket(description, one.name) for one in video_streams(description)}
 

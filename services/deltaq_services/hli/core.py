@@ -93,7 +93,7 @@ class HliCore(Part):
         self.counters = self._state.counters
         self.increments = Increments(self._state)
         self.requests = Requests(self._state, roles or ClientRoles())
-        self.containment = Containment(self._parts)
+        self.containment = Containment()
 
     def contained(
         self,
@@ -112,7 +112,7 @@ class HliCore(Part):
             sender: the client that gets an error if it fails.
             asked: the message as it came, as far as it could be read.
         """
-        self.containment.remember()
+        self.containment.remember(self._parts())
         try:
             return decide()
         except Exception as error:

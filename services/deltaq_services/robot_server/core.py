@@ -84,7 +84,7 @@ class RobotServer(Part):
         self._told: tuple[Measurement, float] | None = None
         self._admissions = AdmissionsDue(cell.gate.lookahead_cycles)
         self._supervision: Supervision | None = None
-        self.containment = Containment(self._parts)
+        self.containment = Containment()
 
     @property
     def state(self) -> ServerState | None:
@@ -188,7 +188,7 @@ class RobotServer(Part):
             except Exception as error:
                 self.failed(error)
             return []
-        self.containment.remember()
+        self.containment.remember(self._parts())
         try:
             return self._take(message, time_s)
         except Exception as error:

@@ -195,7 +195,7 @@ class RsiRobot:
     ) -> None:
         self._rsi, self._krc, self._records = rsi, krc, records
         self._silence_s, self._silent_s = silence_s, time.monotonic() + silence_s
-        self._undo = Containment(lambda: (rsi, rsi.session))
+        self._undo = Containment()
         self._reply, self._outputs, self._ipoc = b"", dict[str, bool](), 0
 
     @property
@@ -220,7 +220,7 @@ class RsiRobot:
 
     def read(self, now_s: float) -> Measurement | None:
         """Read the newest telegram; one that must not be answered with a setpoint is answered here."""
-        self._undo.remember()
+        self._undo.remember((self._rsi, self._rsi.session))
         try:
             measured = self._krc.read(now_s)
         except Exception:

@@ -7,8 +7,8 @@ each of its states, one request after the other, so that a decision always sees 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from itertools import combinations
+from collections.abc import Callable, Mapping, Sequence
+from itertools import chain, combinations
 from typing import Protocol
 
 import numpy as np
@@ -95,8 +95,12 @@ class Sim:
         self._sequence = 0
         self._command_order = CommandOrder()
         shared = (self, self.contacts, self.violations, self._command_order)
-        parts = [*shared, *(part for robot in self.robots.values() for part in robot.parts)]
-        self.containment = Containment(lambda: parts)
+        parts = {name: (*shared, *robot.parts) for name, robot in self.robots.items()}
+        every = tuple(chain(shared, *(robot.parts for robot in self.robots.values())))
+        self._parts_of: Callable[[str | None], tuple[object, ...]] = lambda robot: parts.get(
+            robot or "", every
+        )
+        self.containment = Containment()
 
     def take(self, message: Message) -> list[ToTopic]:
         """Take a state, a request or a command; their order determines every decision.
@@ -108,7 +112,7 @@ class Sim:
         """
         if not isinstance(message, ServerState | Request | Command):
             raise TypeError(f"the gate takes states, requests and commands, got a {type(message).__name__}")
-        self.containment.remember()
+        self.containment.remember(self._parts_of(message.robot))
         try:
             if isinstance(message, ServerState):
                 return self.on_state(message)
