@@ -30,7 +30,12 @@ from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Description, Outcome, Sight, Verdict, ViewTarget, ViewWish
-from deltaq_protocol.real_time import SchedulingPriority
+from deltaq_protocol.real_time import (
+    SchedulingPriority,
+    give_processors,
+    keep_to_one_processor,
+    place_of_robot,
+)
 
 # Counts of a controller's run: verdicts, reasons, and errors after the start-up.
 
@@ -105,13 +110,16 @@ _THREADS = Path("/proc/self/task")
 
 
 @contextlib.contextmanager
-def ahead_of_ordinary_programs() -> Iterator[bool]:
+def ahead_of_ordinary_programs(place: int | None = None) -> Iterator[bool]:
     """Run a control loop with real-time priority, where the system allows it.
 
     All threads that the process has at the beginning take part, those that carry its messages among them. What is
     started within the block, a thread or a process, is ordinary. So is the controller itself from the moment when it
     has computed for `GREED_S` without waiting: it shall not keep the machine from others. Only a loop in the main
     thread asks.
+
+    Args:
+        place: of the process among those of its cell, which keeps it to one processor; None for any processor.
 
     Yields:
         Whether the system allowed it.
@@ -120,18 +128,23 @@ def ahead_of_ordinary_programs() -> Iterator[bool]:
         yield False
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_RTTIME)
-    before = signal.signal(signal.SIGXCPU, _give_back)
+    processors = os.sched_getaffinity(0)
+
+    def give_back(_signal: int = 0, _frame: FrameType | None = None) -> None:
+        _schedule_threads(os.SCHED_OTHER, 0)
+        give_processors(processors)
+
+    before = signal.signal(signal.SIGXCPU, give_back)
     resource.setrlimit(resource.RLIMIT_RTTIME, (_greed_us(hard), hard))
     try:
-        yield _schedule_threads(os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, SchedulingPriority.CONTROLLER)
+        is_allowed = _schedule_threads(os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, SchedulingPriority.CONTROLLER)
+        if is_allowed and place is not None:
+            keep_to_one_processor(place)
+        yield is_allowed
     finally:
-        _schedule_threads(os.SCHED_OTHER, 0)
+        give_back()
         resource.setrlimit(resource.RLIMIT_RTTIME, (soft, hard))
         signal.signal(signal.SIGXCPU, before)
-
-
-def _give_back(_signal: int, _frame: FrameType | None) -> None:
-    _schedule_threads(os.SCHED_OTHER, 0)
 
 
 def _greed_us(hard: int) -> int:
@@ -226,7 +239,7 @@ async def drive(
         RefusedError: the lease was not granted, or lost.
         ServiceUnreachableError: the HLI is gone.
     """
-    with control_loop():
+    with control_loop(place_of_robot(cell.robots, robot) if robot in cell.robots else None):
         async with await lease(cell, robot) as leased:
             answers = Answers(cell, leased, reading)
             async for state in leased.states():
@@ -245,11 +258,15 @@ async def drive(
 
 
 @contextlib.contextmanager
-def control_loop() -> Iterator[None]:
-    """Prepare the process for a control loop: exempt present objects from garbage collection, ask for priority."""
+def control_loop(place: int | None = None) -> Iterator[None]:
+    """Prepare the process for a control loop: exempt present objects from garbage collection, ask for priority.
+
+    Args:
+        place: as `ahead_of_ordinary_programs` has it.
+    """
     gc.collect()
     gc.freeze()  # later garbage collections skip all present objects
-    with ahead_of_ordinary_programs():
+    with ahead_of_ordinary_programs(place):
         yield
 
 

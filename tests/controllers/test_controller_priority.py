@@ -3,12 +3,13 @@
 import os
 import sys
 import threading
+from pathlib import Path
 
 import pytest
 from ran import ran
 
 from deltaq_controllers.live import GREED_S, ahead_of_ordinary_programs
-from deltaq_protocol.real_time import SchedulingPriority
+from deltaq_protocol.real_time import HLI_PLACE, SIM_PLACE, SchedulingPriority, place_of_robot
 
 
 def given() -> bool:
@@ -55,12 +56,41 @@ def test_a_controllers_child_has_ordinary_priority() -> None:
     assert int(started.stdout) == os.SCHED_OTHER
 
 
+def processors() -> set[frozenset[int]]:
+    """The processors of each thread of this process, those of equal threads once."""
+    threads = [int(entry.name) for entry in Path("/proc/self/task").iterdir()]
+    return {frozenset(os.sched_getaffinity(thread)) for thread in threads}
+
+
 @needs_priority
-def test_a_controller_that_computes_without_waiting_loses_its_priority() -> None:
-    with ahead_of_ordinary_programs():
+def test_all_threads_of_a_control_loop_keep_to_one_processor_only_inside_the_block() -> None:
+    ended = threading.Event()
+    thread = threading.Thread(target=ended.wait)
+    thread.start()
+    before = processors()
+    usable = sorted(os.sched_getaffinity(0))
+    for place in (0, 1, 2 * len(usable) + 1):
+        with ahead_of_ordinary_programs(place):
+            assert processors() == {frozenset({usable[place % len(usable)]})}
+        assert processors() == before
+    ended.set()
+    thread.join()
+
+
+@needs_priority
+def test_a_controller_that_computes_without_waiting_loses_its_priority_and_may_run_anywhere_again() -> None:
+    usable = os.sched_getaffinity(0)
+    with ahead_of_ordinary_programs(place=0):
         while schedule()[0] == os.SCHED_FIFO:
             sum(range(1000))
         assert schedule() == (os.SCHED_OTHER, 0)
+        assert os.sched_getaffinity(0) == usable
+
+
+def test_neighbours_in_a_cell_share_no_processor() -> None:
+    robots = ("fr", "gr", "hr")
+    places = [HLI_PLACE, SIM_PLACE, *(place_of_robot(robots, robot) for robot in robots)]
+    assert places == [0, 1, 2, 3, 4]
 
 
 def test_the_priority_of_a_controller_is_below_everything_that_answers_it() -> None:

@@ -170,6 +170,17 @@ def test_while_the_server_runs_the_brake_process_does_not_answer():
             both.sock.recv(4096)
 
 
+def test_the_brake_process_may_run_where_its_server_may_not():
+    every = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(every)})  # as a server that keeps to one processor
+    try:
+        with beside() as brake:
+            assert os.sched_getaffinity(brake.server.pid) == {min(every)}
+            assert os.sched_getaffinity(brake.pid) >= every
+    finally:
+        os.sched_setaffinity(0, every)
+
+
 def test_the_brake_process_imports_no_library_of_the_cell():
     with beside() as both:
         mapped = Path(f"/proc/{both.pid}/maps").read_text(encoding="utf-8")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.real_time import SchedulingPriority, ask_for_real_time
+from deltaq_protocol.real_time import SchedulingPriority, ask_for_real_time, place_of_robot
 from deltaq_protocol.setpoint_motion import SetpointMotion
 from deltaq_services.robot_server.core import Ending, RobotServer
 from deltaq_services.robot_server.crash_brake.core import PORT_PATIENCE_S
@@ -165,7 +165,7 @@ def serve(cell: CellDescription, robot: str, ethernet_xml: Path | None) -> None:
         ethernet_xml: the RSI configuration that the KRC has loaded; None for a kinematic robot.
     """
     server = RobotServer(cell, robot, process=secrets.randbits(62))
-    ask_for_real_time(SchedulingPriority.ROBOT_SERVER)
+    ask_for_real_time(SchedulingPriority.ROBOT_SERVER, place_of_robot(cell.robots, robot))
     link = GuardedLink(cell, robot, server.counters)
     description = cell.robots[robot].driver
     try:

@@ -3,7 +3,7 @@
 import logging
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_protocol.real_time import SchedulingPriority, ask_for_real_time
+from deltaq_protocol.real_time import SIM_PLACE, SchedulingPriority, ask_for_real_time
 from deltaq_services.process import arguments, run
 from deltaq_services.sim.shell import Shell
 
@@ -16,7 +16,7 @@ def main() -> None:
         "System Integrity Module: the gate, which admits only increments with a certified brake"
     )
     cell = CellModel.load(options.cell)
-    ask_for_real_time(SchedulingPriority.SIM)
+    ask_for_real_time(SchedulingPriority.SIM, SIM_PLACE)
     shell = Shell(cell)
     _log.info("ready: sim gates %s", ", ".join(cell.robots))
     shell.run()

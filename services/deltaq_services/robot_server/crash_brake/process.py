@@ -33,6 +33,8 @@ def main() -> int:
     """Wait for the end of the Robot Server; brake unless it ended in order."""
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
+    # not where the Robot Server is kept: one that never waits would hold that processor
+    os.sched_setaffinity(0, range(os.cpu_count() or 1))
     shared, listening = map(int, sys.argv[1:3])
     plan = CrashPlan.from_json(sys.stdin.read())
     records, telegrams = CrashRecords(len(plan.most), plan.outputs), plan.telegrams()
