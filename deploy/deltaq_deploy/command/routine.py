@@ -82,7 +82,7 @@ def run(
     if len(names) > 1:
         raise typer.BadParameter(f"one item of equipment, got {', '.join(names)}", param_hint="EQUIPMENT")
     numbers = dict(_number(word) for word in words if "=" in word)
-    _run(cell, url, token, json, dry_run, routine, "".join(names), robot, numbers, first=0)
+    _run((cell, url, token), json, (routine, "".join(names), robot, 0, numbers), dry_run=dry_run)
 
 
 def resume(
@@ -100,9 +100,9 @@ def resume(
     from deltaq_deploy.launch.cell_connection import described
 
     last = unfinished(described(cell, url, "deltaq routine").cell, robot)
-    what = (last["source"], last["equipment"] or "", last["robot"], last["numbers"])
+    what = (last["source"], last["equipment"] or "", last["robot"], last["place"], last["numbers"])
     typer.echo(f"{last['routine']}: step {last['place'] + 1} of {last['steps']}", err=True)
-    _run(cell, url, token, json, False, *what, first=last["place"], abort=abort)
+    _run((cell, url, token), json, what, abort=abort)
 
 
 def _number(text: str) -> tuple[str, float]:
@@ -114,24 +114,52 @@ def _number(text: str) -> tuple[str, float]:
 
 
 def _run(
-    cell: str,
-    url: str | None,
-    token: str | None,
+    reached: tuple[str, str | None, str | None],
     json: bool,
-    dry_run: bool,
-    routine: str,
-    equipment: str,
-    robot: str,
-    numbers: dict[str, float],
-    first: int,
+    what: tuple[str, str, str, int, dict[str, float]],
+    dry_run: bool = False,
     abort: bool = False,
 ) -> None:
+    """Run, plan or give up a routine.
+
+    Args:
+        reached: the cell, its URL and the token.
+        json: print the report as JSON.
+        what: routine, equipment, robot, first step and numbers, as `LiveRoutine` takes them.
+        dry_run: plan it, and move nothing.
+        abort: give it up.
+    """
     import asyncio
 
+    from deltaq_controllers.answers import lease
+    from deltaq_controllers.live import control_loop
     from deltaq_controllers.routines.run import RunEnd
+    from deltaq_controllers.routines.shell import LiveRoutine
     from deltaq_deploy.command.console import print_json
+    from deltaq_deploy.launch.cell_connection import Where, check_same
+    from deltaq_protocol import connect
 
-    report = asyncio.run(_driven(cell, url, token, dry_run, routine, equipment, robot, numbers, first, abort))
+    cell, url, token = reached
+    where = Where.of(cell, url, what[2])
+
+    async def driven() -> dict[str, Any]:
+        async with connect(where.hli, client="deltaq routine", token=token) as running:
+            check_same(where, running.description)
+            live = LiveRoutine(running, *what)
+            if dry_run:
+                return await live.rehearse()
+            if abort:
+                live.run.abort()
+            for number in _ENDING:
+                asyncio.get_running_loop().add_signal_handler(number, live.run.leave, "interrupted")
+            told = _Progress()
+            with control_loop():
+                async with await lease(running, live.job.robot) as leased:
+                    await live.drive(leased, told.show)
+            told.end()
+            return live.report()
+
+    report = asyncio.run(driven())
     if json:
         print_json(report)
     else:
@@ -140,44 +168,6 @@ def _run(
         raise typer.Exit(INTERRUPTED)
     if report["end"] not in (RunEnd.DONE, RunEnd.ABORTED if abort else None, "planned"):
         raise typer.Exit(BAD)
-
-
-async def _driven(
-    cell: str,
-    url: str | None,
-    token: str | None,
-    dry_run: bool,
-    routine: str,
-    equipment: str,
-    robot: str,
-    numbers: dict[str, float],
-    first: int,
-    abort: bool,
-) -> dict[str, Any]:
-    import asyncio
-
-    from deltaq_controllers.answers import lease
-    from deltaq_controllers.live import control_loop
-    from deltaq_controllers.routines.shell import LiveRoutine
-    from deltaq_deploy.launch.cell_connection import Where, check_same
-    from deltaq_protocol import connect
-
-    where = Where.of(cell, url, robot)
-    async with connect(where.hli, client="deltaq routine", token=token) as running:
-        check_same(where, running.description)
-        live = LiveRoutine(running, routine, equipment, robot, first, numbers)
-        if dry_run:
-            return await live.rehearse()
-        if abort:
-            live.run.abort()
-        for number in _ENDING:
-            asyncio.get_running_loop().add_signal_handler(number, live.run.leave, "interrupted")
-        told = _Progress()
-        with control_loop():
-            async with await lease(running, live.job.robot) as leased:
-                await live.drive(leased, told.show)
-        told.end()
-        return live.report()
 
 
 class _Progress:
