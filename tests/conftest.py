@@ -4,6 +4,7 @@ import os
 import signal
 import tempfile
 from collections import Counter
+from contextlib import ExitStack
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -44,6 +45,15 @@ def state_home(tmp_path_factory):
         del os.environ["XDG_STATE_HOME"]
     else:
         os.environ["XDG_STATE_HOME"] = before
+
+
+@pytest.fixture
+def opened():
+    """Opens zenoh sessions, as `open_session` does, and closes them all at the end of the test."""
+    from deltaq_protocol.session import open_session
+
+    with ExitStack() as sessions:
+        yield lambda **options: sessions.enter_context(open_session(**options))
 
 
 ONLY_IF_ASKED = ("nightly", "container")

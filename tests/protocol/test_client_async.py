@@ -76,34 +76,28 @@ async def test_connecting_without_a_listener_fails_with_address_and_remedy() -> 
             pass
 
 
-async def test_a_peer_without_a_cell_is_not_a_server() -> None:
+async def test_a_peer_without_a_cell_is_not_a_server(opened) -> None:
     somewhere = endpoint()
-    session = open_session(listen=[somewhere])
-    try:
-        with pytest.raises(ServiceUnreachableError, match="serves no cell"):
-            async with connect(somewhere):
-                pass
-    finally:
-        session.close()
+    opened(listen=[somewhere])
+    with pytest.raises(ServiceUnreachableError, match="serves no cell"):
+        async with connect(somewhere):
+            pass
 
 
-async def test_a_server_of_another_version_is_refused_despite_unknown_fields() -> None:
+async def test_a_server_of_another_version_is_refused_despite_unknown_fields(opened) -> None:
     somewhere = endpoint()
-    session = open_session(listen=[somewhere])
+    session = opened(listen=[somewhere])
     key = topics.DESCRIPTION.key("other")
 
     def answer(query: zenoh.Query) -> None:
         with query:
             query.reply(key, msgpack.packb({"protocol": PROTOCOL_VERSION + 1, "a_field_of_the_next": 1}))
 
-    try:
-        session.declare_queryable(key, answer)
-        with pytest.raises(RefusedError, match="server speaks protocol 4, this client 3") as refused:
-            async with connect(somewhere):
-                pass
-        assert refused.value.code == ReasonCode.PROTOCOL_VERSION
-    finally:
-        session.close()
+    session.declare_queryable(key, answer)
+    with pytest.raises(RefusedError, match="server speaks protocol 4, this client 3") as refused:
+        async with connect(somewhere):
+            pass
+    assert refused.value.code == ReasonCode.PROTOCOL_VERSION
 
 
 @pytest.mark.parametrize(

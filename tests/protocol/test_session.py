@@ -68,22 +68,18 @@ def test_listening_on_a_used_address_fails_with_the_reason_of_the_system() -> No
     first.close()
 
 
-def test_sessions_without_a_common_endpoint_never_connect() -> None:
+def test_sessions_without_a_common_endpoint_never_connect(opened) -> None:
     there = endpoint()
-    one, other = open_session(listen=[endpoint()]), open_session(listen=[there])
-    try:
-        heard = Heard(other, "deltaq/**")
-        for _ in range(20):
-            one.put("deltaq/lab/stop", b"x")
-        # by the time that a session which knows the address has been heard, whoever could be heard has been
-        known = open_session(connect=[there], must_connect=True)
-        Heard(other, "marker").until(lambda: known.put("marker", b"x"))
-        known.close()
-        assert heard.payloads == []
-        assert list(one.info.peers_zid()) == []
-    finally:
-        one.close()
-        other.close()
+    one, other = opened(listen=[endpoint()]), opened(listen=[there])
+    heard = Heard(other, "deltaq/**")
+    for _ in range(20):
+        one.put("deltaq/lab/stop", b"x")
+    # by the time that a session which knows the address has been heard, whoever could be heard has been
+    known = open_session(connect=[there], must_connect=True)
+    Heard(other, "marker").until(lambda: known.put("marker", b"x"))
+    known.close()
+    assert heard.payloads == []
+    assert list(one.info.peers_zid()) == []
 
 
 def transports(session: Any) -> set[str]:
@@ -107,21 +103,17 @@ def wait_for_datagrams(session: Any) -> None:
     ],
 )
 def test_datagrams_are_used_if_both_ends_offer_them_and_messages_arrive_either_way(
-    listens: str, connects: str, has: set[str]
+    opened, listens: str, connects: str, has: set[str]
 ) -> None:
     at = endpoint().partition("/")[2]
-    server = open_session(listen=[f"{listens}/{at}"])
-    client = open_session(connect=[f"{connects}/{at}"], must_connect=True)
-    try:
-        if "udp" in has:
-            wait_for_datagrams(client)
-        heard = Heard(client, "deltaq/x")
-        publisher = declare_publisher(server, "deltaq/x")
-        heard.until(lambda: publisher.put(b"x"))
-        assert transports(client) <= has  # a busy machine may have lost one of two meanwhile
-    finally:
-        client.close()
-        server.close()
+    server = opened(listen=[f"{listens}/{at}"])
+    client = opened(connect=[f"{connects}/{at}"], must_connect=True)
+    if "udp" in has:
+        wait_for_datagrams(client)
+    heard = Heard(client, "deltaq/x")
+    publisher = declare_publisher(server, "deltaq/x")
+    heard.until(lambda: publisher.put(b"x"))
+    assert transports(client) <= has  # a busy machine may have lost one of two meanwhile
 
 
 @contextlib.contextmanager
@@ -155,41 +147,33 @@ def datagrams_between(near: tuple[str, int], far: tuple[str, int]) -> Iterator[l
         threads[1].join()
 
 
-def test_only_urgent_streams_use_datagrams() -> None:
+def test_only_urgent_streams_use_datagrams(opened) -> None:
     one, other = (endpoint().partition("/")[2] for _ in range(2))
     host, _, port = one.rpartition(":")
-    server = open_session(listen=[f"tcp/{one}", f"tcp+udp/{other}"])
+    server = opened(listen=[f"tcp/{one}", f"tcp+udp/{other}"])
     with datagrams_between((host, int(port)), (host, int(other.rpartition(":")[2]))) as seen:
-        client = open_session(connect=[f"tcp+udp/{one}"], must_connect=True)
-        try:
-            at_x, at_y = Heard(client, "deltaq/x"), Heard(client, "deltaq/y")
-            wait_for_datagrams(server)
-            urgent = declare_publisher(server, "deltaq/x")
-            ordinary = declare_publisher(server, "deltaq/y", priority=Priority.ORDINARY)
-            at_y.until(lambda: ordinary.put(b"ordinary"))
-            while not any(b"urgent" in datagram for datagram in seen):  # until the new link is used
-                at_x.payloads.clear()
-                at_x.until(lambda: urgent.put(b"urgent"))
-            assert not any(b"ordinary" in datagram for datagram in seen)
-        finally:
-            client.close()
-            server.close()
+        client = opened(connect=[f"tcp+udp/{one}"], must_connect=True)
+        at_x, at_y = Heard(client, "deltaq/x"), Heard(client, "deltaq/y")
+        wait_for_datagrams(server)
+        urgent = declare_publisher(server, "deltaq/x")
+        ordinary = declare_publisher(server, "deltaq/y", priority=Priority.ORDINARY)
+        at_y.until(lambda: ordinary.put(b"ordinary"))
+        while not any(b"urgent" in datagram for datagram in seen):  # until the new link is used
+            at_x.payloads.clear()
+            at_x.until(lambda: urgent.put(b"urgent"))
+        assert not any(b"ordinary" in datagram for datagram in seen)
 
 
-def test_a_client_connects_through_a_firewall_that_drops_datagrams() -> None:
+def test_a_client_connects_through_a_firewall_that_drops_datagrams(opened) -> None:
     at = endpoint().partition("/")[2]
     host, _, port = at.rpartition(":")
-    server = open_session(listen=[f"tcp/{at}"])
+    server = opened(listen=[f"tcp/{at}"])
     with socket.socket(type=socket.SOCK_DGRAM) as wall:
         wall.bind((host, int(port)))
-        client = open_session(connect=[f"tcp+udp/{at}"], must_connect=True)
-        try:
-            heard = Heard(client, "deltaq/x")
-            heard.until(lambda: server.put("deltaq/x", b"x"))
-            assert transports(client) == {"tcp"}
-        finally:
-            client.close()
-            server.close()
+        client = opened(connect=[f"tcp+udp/{at}"], must_connect=True)
+        heard = Heard(client, "deltaq/x")
+        heard.until(lambda: server.put("deltaq/x", b"x"))
+        assert transports(client) == {"tcp"}
 
 
 def test_an_overtaken_sample_is_ignored_and_a_new_publisher_counts_from_the_start() -> None:
@@ -207,83 +191,64 @@ def test_an_overtaken_sample_is_ignored_and_a_new_publisher_counts_from_the_star
     assert taken == [plain, one, next_one, other, plain]
 
 
-def test_a_server_relays_no_messages_between_clients() -> None:
+def test_a_server_relays_no_messages_between_clients(opened) -> None:
     here = endpoint()
-    server = open_session(listen=[here])
-    one, other = (open_session(connect=[here], must_connect=True) for _ in range(2))
-    try:
-        at_server, at_other = Heard(server, "deltaq/**"), Heard(other, "deltaq/**")
-        at_server.until(lambda: one.put("deltaq/lab/fr/verdict", b"forged"))
-        marker = Heard(other, "marker")
-        marker.until(lambda: server.put("marker", b"x"))
-        assert at_other.payloads == []
-    finally:
-        for session in (one, other, server):
-            session.close()
+    server = opened(listen=[here])
+    one, other = (opened(connect=[here], must_connect=True) for _ in range(2))
+    at_server, at_other = Heard(server, "deltaq/**"), Heard(other, "deltaq/**")
+    at_server.until(lambda: one.put("deltaq/lab/fr/verdict", b"forged"))
+    marker = Heard(other, "marker")
+    marker.until(lambda: server.put("marker", b"x"))
+    assert at_other.payloads == []
 
 
-def test_a_later_or_restarted_server_is_found_automatically() -> None:
+def test_a_later_or_restarted_server_is_found_automatically(opened) -> None:
     here = endpoint()
-    client = open_session(connect=[here])
+    client = opened(connect=[here])
     publisher = declare_publisher(client, "deltaq/x")
-    try:
-        for _ in range(2):
-            server = open_session(listen=[here])
-            Heard(server, "deltaq/x").until(lambda: publisher.put(b"x"))
-            server.close()
-    finally:
-        client.close()
-
-
-def test_a_slow_reader_gets_the_newest_missed_sample() -> None:
-    here = endpoint()
-    server = open_session(listen=[here])
-    client = open_session(connect=[here], must_connect=True)
-    try:
-        newest = subscribe_newest(client, "deltaq/x")
-        after = Heard(client, "deltaq/x")
-        after.until(lambda: server.put("deltaq/x", b"first"))
-        for k in range(100):
-            server.put("deltaq/x", str(k).encode())
-        after.wait_for(b"99")
-        assert newest.try_recv().payload.to_bytes() == b"99"
-        assert newest.try_recv() is None
-    finally:
-        client.close()
+    for _ in range(2):
+        server = opened(listen=[here])
+        Heard(server, "deltaq/x").until(lambda: publisher.put(b"x"))
         server.close()
 
 
+def test_a_slow_reader_gets_the_newest_missed_sample(opened) -> None:
+    here = endpoint()
+    server = opened(listen=[here])
+    client = opened(connect=[here], must_connect=True)
+    newest = subscribe_newest(client, "deltaq/x")
+    after = Heard(client, "deltaq/x")
+    after.until(lambda: server.put("deltaq/x", b"first"))
+    for k in range(100):
+        server.put("deltaq/x", str(k).encode())
+    after.wait_for(b"99")
+    assert newest.try_recv().payload.to_bytes() == b"99"
+    assert newest.try_recv() is None
+
+
 @pytest.mark.long
-def test_a_session_beyond_the_limit_waits_until_another_leaves() -> None:
+def test_a_session_beyond_the_limit_waits_until_another_leaves(opened) -> None:
     here = endpoint()
-    server = open_session(listen=[here])
-    others = [open_session(connect=[here], must_connect=True) for _ in range(MAX_SESSIONS)]
-    try:
-        with pytest.raises(ServiceUnreachableError, match=f"fewer than {MAX_SESSIONS} others there"):
-            open_session(connect=[here], must_connect=True)
-        others.pop().close()
-        others.append(open_session(connect=[here], must_connect=True))
-    finally:
-        for session in (*others, server):
-            session.close()
+    opened(listen=[here])
+    others = [opened(connect=[here], must_connect=True) for _ in range(MAX_SESSIONS)]
+    with pytest.raises(ServiceUnreachableError, match=f"fewer than {MAX_SESSIONS} others there"):
+        opened(connect=[here], must_connect=True)
+    others.pop().close()
+    others.append(opened(connect=[here], must_connect=True))
 
 
-def test_silent_connections_delay_a_session_without_excluding_it() -> None:
+def test_silent_connections_delay_a_session_without_excluding_it(opened) -> None:
     here = endpoint()
-    server = open_session(listen=[here])
-    client = open_session(connect=[here], must_connect=True)
+    server = opened(listen=[here])
+    client = opened(connect=[here], must_connect=True)
     address = ("127.0.0.1", int(here.rpartition(":")[2]))
     with contextlib.ExitStack() as silent:
-        try:
-            for _ in range(300):
-                silent.enter_context(socket.create_connection(address))
-            Heard(client, "deltaq/x").until(lambda: server.put("deltaq/x", b"x"))
-            patient = open_session(connect=[here])  # tries until it is let in
-            Heard(patient, "deltaq/x").until(lambda: server.put("deltaq/x", b"x"))
-            patient.close()
-        finally:
-            client.close()
-            server.close()
+        for _ in range(300):
+            silent.enter_context(socket.create_connection(address))
+        Heard(client, "deltaq/x").until(lambda: server.put("deltaq/x", b"x"))
+        patient = open_session(connect=[here])  # tries until it is let in
+        Heard(patient, "deltaq/x").until(lambda: server.put("deltaq/x", b"x"))
+        patient.close()
 
 
 def test_a_blocked_subscriber_delays_no_other_and_fills_no_memory() -> None:

@@ -168,8 +168,5 @@ def listen(cell: CellDescription | Where) -> Iterator[Listener]:
     Raises:
         ServiceUnreachableError: if nothing listens there.
     """
-    session = open_session(connect=[cell.hli], must_connect=True, tls=client_tls(cell.hli))
-    try:
+    with open_session(connect=[cell.hli], must_connect=True, tls=client_tls(cell.hli)) as session:
         yield Listener(session, cell.cell or "*")
-    finally:
-        session.close()

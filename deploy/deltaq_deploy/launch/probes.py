@@ -3,7 +3,7 @@
 import socket
 import time
 from dataclasses import dataclass
-from typing import assert_never
+from typing import Any, assert_never
 from urllib.request import urlopen
 
 from pydantic import BaseModel
@@ -84,19 +84,19 @@ def _ask_health_topic(name: str, cell: CellDescription) -> ProbeAnswer:
 
     from deltaq_services.guarded_realm import open_watching_session
 
-    session = open_watching_session(cell, name)
-    try:
-        key = topics.HEALTH.key(cell.cell, service=name)
-        with session.declare_subscriber(key, zenoh.handlers.FifoChannel(4)) as subscriber:
-            deadline = time.monotonic() + TIMEOUT_S
-            while (sample := subscriber.try_recv()) is None:
-                if time.monotonic() > deadline:
-                    raise TimeoutError
-                time.sleep(0.01)
-            health = unpack(Health, message_in(sample.payload.to_bytes()))
-            return ProbeAnswer(health.healthy, health.detail)
-    finally:
-        session.close()
+    key = topics.HEALTH.key(cell.cell, service=name)
+    channel: Any = zenoh.handlers.FifoChannel(4)
+    with (
+        open_watching_session(cell, name) as session,
+        session.declare_subscriber(key, channel) as subscriber,
+    ):
+        deadline = time.monotonic() + TIMEOUT_S
+        while (sample := subscriber.try_recv()) is None:
+            if time.monotonic() > deadline:
+                raise TimeoutError
+            time.sleep(0.01)
+        health = unpack(Health, message_in(sample.payload.to_bytes()))
+        return ProbeAnswer(health.healthy, health.detail)
 
 
 def _ask_hli(cell: CellDescription) -> ProbeAnswer:
