@@ -38,7 +38,7 @@ class CsvRecorder:
         """Begin a record; one that is being written ends. A reader may cut the file short while it grows.
 
         Raises:
-            RecordError: if the file cannot be written.
+            DeltaqError: if the file cannot be written.
         """
         self.stop()
         numbers = range(1, self._joints + 1)
@@ -50,7 +50,7 @@ class CsvRecorder:
             self._file.write(",".join(header) + "\n")
         except OSError as error:
             self.stop()
-            raise RecordError(
+            raise DeltaqError(
                 f"{path}: cannot be written: {error.strerror}; give a file in a folder that is there"
             ) from error
 
@@ -95,7 +95,3 @@ class Sample:
     state: KrcState
     message: str | None
     counters: Mapping[str, int]
-
-
-class RecordError(DeltaqError):
-    """A recording file that cannot be written."""

@@ -75,10 +75,6 @@ LATE_START = 0.25
 """A cycle that begins later than this fraction of a cycle has been held up by the machine."""
 
 
-class SocketError(DeltaqError):
-    """A socket that cannot be opened."""
-
-
 class Emulator:
     """An emulated controller with its sockets.
 
@@ -91,7 +87,7 @@ class Emulator:
         address: of the controller itself, which telegrams come from; None: as the system chooses.
 
     Raises:
-        SocketError: if an address cannot be resolved or is taken.
+        DeltaqError: if an address cannot be resolved or is taken.
     """
 
     def __init__(
@@ -120,7 +116,7 @@ class Emulator:
                 self._panel_socket.bind(panel)
             except OSError as error:
                 self.close()
-                raise SocketError(f"cannot listen on {panel[0]}:{panel[1]}: {error}") from error
+                raise DeltaqError(f"cannot listen on {panel[0]}:{panel[1]}: {error}") from error
         try:
             if address is not None:
                 self._link.bind((address, 0))
@@ -129,7 +125,7 @@ class Emulator:
         except OSError as error:
             self.close()
             sender = "" if address is None else f"from {address} "
-            raise SocketError(f"cannot send {sender}to {server[0]}:{server[1]}: {error}") from error
+            raise DeltaqError(f"cannot send {sender}to {server[0]}:{server[1]}: {error}") from error
 
     def _all_counts(self) -> dict[str, int]:
         return self.counts | {"forgeries_lost": self._strangers.lost}

@@ -25,10 +25,6 @@ _LINE_BYTES = 256
 """Every line is as long, so that one is written over another in one step."""
 
 
-class HeartbeatError(DeltaqError):
-    """A health file that cannot be written."""
-
-
 class Heartbeat:
     """Heartbeats for a supervisor, at most one a second; without a supervisor they cost a comparison.
 
@@ -36,7 +32,7 @@ class Heartbeat:
         environment: its variables name the supervisor.
 
     Raises:
-        HeartbeatError: if the health file cannot be written.
+        DeltaqError: if the health file cannot be written.
     """
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
@@ -93,7 +89,7 @@ def _opened(file: str | None) -> int | None:
     try:
         return os.open(file, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
     except OSError as error:
-        raise HeartbeatError(f"{HEALTH_FILE}: {Path(file)} cannot be written: {error.strerror}") from error
+        raise DeltaqError(f"{HEALTH_FILE}: {Path(file)} cannot be written: {error.strerror}") from error
 
 
 def _connected(address: str | None) -> socket.socket | None:

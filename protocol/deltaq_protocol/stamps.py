@@ -70,10 +70,6 @@ class CycleOutcome(IntEnum):
     """Nothing: the robot is held, or not ready."""
 
 
-class StampError(DeltaqError):
-    """A file that holds no stamps."""
-
-
 class Stamps:
     """The stamps of one process; when the ring is full, each new one takes the place of the oldest.
 
@@ -165,7 +161,7 @@ def read_stamps(file: Path) -> WrittenStamps:
     """Read what `Stamps.write` wrote.
 
     Raises:
-        StampError: if the file is cut short or holds no stamps.
+        DeltaqError: if the file is cut short or holds no stamps.
     """
     head, _, body = file.read_bytes().partition(b"\n")
     try:
@@ -173,9 +169,9 @@ def read_stamps(file: Path) -> WrittenStamps:
         process, robots, kept = str(told["process"]), tuple(told["robots"]), int(told["kept"])
         overwritten = int(told["overwritten"])
     except (ValueError, KeyError, TypeError) as error:
-        raise StampError(f"{file} has no header of stamps: {error!r}") from error
+        raise DeltaqError(f"{file} has no header of stamps: {error!r}") from error
     if len(body) != kept * _STAMP.size:
-        raise StampError(
+        raise DeltaqError(
             f"{file} holds {len(body)} bytes of stamps, and its header says {kept} of {_STAMP.size}"
         )
     rows = np.frombuffer(body, dtype="=i8").astype(np.int64).reshape(-1, _COLUMNS)

@@ -19,11 +19,6 @@ from deltaq_cell.load import find_cell, load_cell
 from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.errors import DeltaqError
 
-
-class NoFreePortsError(DeltaqError):
-    """Running processes have claimed all ports, or the folder of the claims belongs to another user."""
-
-
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 
 
@@ -50,9 +45,7 @@ def _ports() -> Iterator[int]:
     for first in range(FIRST_PORT, end, PORTS_A_BLOCK):
         if _claims(first) is not None:
             return itertools.cycle(range(first, first + PORTS_A_BLOCK))
-    raise NoFreePortsError(
-        f"every block of ports from {FIRST_PORT} to {end} is claimed; end a test that runs"
-    )
+    raise DeltaqError(f"every block of ports from {FIRST_PORT} to {end} is claimed; end a test that runs")
 
 
 @functools.cache
@@ -63,7 +56,7 @@ def _claims(first: int) -> int | None:
         folder.mkdir(mode=0o700)
     about = folder.lstat()  # a link would lead wherever its owner wants
     if not stat.S_ISDIR(about.st_mode) or about.st_uid != os.geteuid() or about.st_mode & _OTHERS_WRITE:
-        raise NoFreePortsError(
+        raise DeltaqError(
             f"{folder} is no folder that only user {os.geteuid()} may write to; remove it, or let TMPDIR name another"
         )
     lock = os.open(folder / str(first), os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
@@ -97,7 +90,7 @@ def write_private_cell(folder: Path, base: str | Path = "lab", encrypted_at: str
 
     Raises:
         CellError: there is no such cell.
-        NoFreePortsError: every port is claimed, or the folder of the claims is not this user's.
+        DeltaqError: every port is claimed, or the folder of the claims is not this user's.
     """
     file = find_cell(base)
     description = load_cell(file)

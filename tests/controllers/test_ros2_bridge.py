@@ -25,11 +25,10 @@ from ros_peer import STATE_TYPE, RosPeer
 from served import Server
 from small_cell import endpoint
 
-from deltaq_controllers.ros2.bridge import Bridge, BridgeUseError, RosSide
-from deltaq_controllers.ros2.rmw import RosNameError
+from deltaq_controllers.ros2.bridge import Bridge, RosSide
 from deltaq_protocol.blocking import connect
 from deltaq_protocol.endpoint import InvalidEndpointError
-from deltaq_protocol.errors import ServiceUnreachableError
+from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
 
 DELTAQ = str(Path(sys.executable).with_name("deltaq"))
 JOINTS = ("a1", "a2", "a3", "a4", "a5", "a6")
@@ -219,15 +218,15 @@ def test_missing_peers_are_named_at_the_start(server: Server) -> None:
 
 def test_impossible_options_are_reported_before_a_file_is_opened(server: Server, peer: RosPeer) -> None:
     hli = server.description.hli
-    with pytest.raises(BridgeUseError, match=f"--ros-endpoint {hli}: the cell's HLI listens there"):
+    with pytest.raises(DeltaqError, match=f"--ros-endpoint {hli}: the cell's HLI listens there"):
         Bridge(hli, RosSide(hli))
-    with pytest.raises(BridgeUseError, match="the cell's HLI listens there"):
+    with pytest.raises(DeltaqError, match="the cell's HLI listens there"):
         Bridge("tcp/127.0.0.1:7447", RosSide("tcp/localhost:7447"))
     with pytest.raises(InvalidEndpointError):
         RosSide("localhost")
-    with pytest.raises(RosNameError):
+    with pytest.raises(DeltaqError, match="no ROS namespace"):
         RosSide(namespace="lab")
-    with pytest.raises(BridgeUseError, match="no robot 'rf' in cell small; it has fr, gr"):
+    with pytest.raises(DeltaqError, match="no robot 'rf' in cell small; it has fr, gr"):
         asyncio.run(Bridge(hli, RosSide(peer.endpoint, accepts=("rf",))).run())
 
 

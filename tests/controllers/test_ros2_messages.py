@@ -21,7 +21,6 @@ from deltaq_controllers.ros2.messages import (
 )
 from deltaq_controllers.ros2.rmw import (
     RosAttachment,
-    RosNameError,
     RosNode,
     RosType,
     checked_domain_id,
@@ -29,6 +28,7 @@ from deltaq_controllers.ros2.rmw import (
     ros_name,
     topic_key,
 )
+from deltaq_protocol.errors import DeltaqError
 
 # header of 2 s and 5 ns, no names, one point of one joint at 1.5 rad after 1 s; written down by hand from the rules
 BY_HAND = bytes.fromhex(
@@ -195,7 +195,7 @@ def test_an_invalid_attachment_is_refused(attachment, text):
     "name", ["", "lab", "/lab/", "//", "/1lab", "/lab-4ms", "/lab/a__b", "/lab/*", "/a/%", "/é"]
 )
 def test_an_invalid_namespace_is_refused(name):
-    with pytest.raises(RosNameError, match="no ROS namespace"):
+    with pytest.raises(DeltaqError, match="no ROS namespace"):
         checked_namespace(name)
 
 
@@ -208,5 +208,5 @@ def test_names_of_cells_become_names_of_ros():
 
 @pytest.mark.parametrize("domain_id", [-1, 233])
 def test_a_domain_out_of_bounds_is_refused(domain_id):
-    with pytest.raises(RosNameError, match=f"ROS domain {domain_id}: allowed are 0 to 232"):
+    with pytest.raises(DeltaqError, match=f"ROS domain {domain_id}: allowed are 0 to 232"):
         checked_domain_id(domain_id)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from deltaq_experiments.bench.bare_chain import PASSES, BareChainError, measured
+from deltaq_experiments.bench.bare_chain import PASSES, measured
 from deltaq_protocol.errors import DeltaqError
 
 
@@ -36,7 +36,7 @@ def test_a_killed_process_of_the_chain_is_an_error_and_leaves_no_process(tmp_pat
             os.waitid(os.P_PID, newest, os.WEXITED | os.WNOWAIT)
 
     before = set(children())
-    with pytest.raises(BareChainError, match="ended before its time"):
+    with pytest.raises(DeltaqError, match="ended before its time"):
         measured(["fr"], 0.012, 2.0, tmp_path, kill_one)
     assert set(children()) <= before
 

@@ -16,15 +16,10 @@ import pytest
 from deltaq_deploy.launch.launcher import Launcher
 from deltaq_deploy.launch.program import LaunchError
 from deltaq_deploy.launch.services import Role, Service
-from deltaq_experiments.bench.hop_reference import (
-    CompilerError,
-    HopReferenceError,
-    hop_reference,
-    processor_seconds,
-    program,
-)
+from deltaq_experiments.bench.hop_reference import hop_reference, processor_seconds, program
 from deltaq_experiments.bench.live import _counted, _wait
 from deltaq_experiments.live import LastLines
+from deltaq_protocol.errors import DeltaqError
 
 
 def test_a_failing_compiler_is_reported_with_its_output(
@@ -34,7 +29,7 @@ def test_a_failing_compiler_is_reported_with_its_output(
     broken.write_text("#!/bin/sh\necho out of memory >&2\nexit 1\n", encoding="utf-8")
     broken.chmod(0o755)
     monkeypatch.setenv("CC", str(broken))
-    with pytest.raises(CompilerError, match="out of memory"):
+    with pytest.raises(DeltaqError, match="out of memory"):
         program("hops", tmp_path)
 
 
@@ -42,7 +37,7 @@ def test_without_a_compiler_the_error_names_the_remedy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("CC", "no-such-compiler")
-    with pytest.raises(CompilerError, match=r"no compiler 'no-such-compiler': install one, or name it in CC"):
+    with pytest.raises(DeltaqError, match=r"no compiler 'no-such-compiler': install one, or name it in CC"):
         program("hops", tmp_path)
 
 
@@ -67,7 +62,7 @@ def test_the_reference_counts_only_the_window(tmp_path: Path) -> None:
 def test_a_killed_reference_is_an_error_and_leaves_no_process(tmp_path: Path) -> None:
     with hop_reference(0.004, 60.0, tmp_path) as reference:
         reference.process.kill()
-        with pytest.raises(HopReferenceError, match="ended with -9"):
+        with pytest.raises(DeltaqError, match="ended with -9"):
             reference.times(0, 1)
 
 
@@ -75,7 +70,7 @@ def test_a_reference_that_cannot_write_its_file_is_an_error(tmp_path: Path) -> N
     (tmp_path / "hops.bin").mkdir()
     with (
         hop_reference(0.004, 0.0, tmp_path) as reference,
-        pytest.raises(HopReferenceError, match=r"hops\.bin"),
+        pytest.raises(DeltaqError, match=r"hops\.bin"),
     ):
         reference.times(0, 1)
 

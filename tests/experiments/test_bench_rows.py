@@ -7,10 +7,11 @@ from pathlib import Path
 import msgpack
 import pytest
 
-from deltaq_experiments.bench.decisions import CorneredError, near_obstacles, stored
+from deltaq_experiments.bench.decisions import near_obstacles, stored
 from deltaq_experiments.bench.rsi_reply import standing_telegrams
 from deltaq_experiments.bench.table import BenchRow, BenchTable
 from deltaq_protocol.codec import InvalidMessageError
+from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import Outcome, Verdict
 from deltaq_services.robot_server.rsi_driver import sensor_codec
 from deltaq_services.sim.core import Sim
@@ -60,7 +61,7 @@ def test_the_slowest_are_compared_with_the_slowest() -> None:
 def test_a_damaged_set_of_situations_is_reported(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "cornered"
     file.write_bytes(content)
-    with pytest.raises(CorneredError, match="holds no situations"):
+    with pytest.raises(DeltaqError, match="holds no situations"):
         stored(file)
 
 

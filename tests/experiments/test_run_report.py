@@ -14,10 +14,11 @@ from ran import ran
 from deltaq_cell.cell_model import CellModel
 from deltaq_experiments.run_report.drawing import COLUMNS, timeline
 from deltaq_experiments.run_report.figures import figures
-from deltaq_experiments.run_report.page import ReportError, page, write
-from deltaq_experiments.run_report.run import EmptyRecordingError, RunEvent, RunEventKind, read_run
+from deltaq_experiments.run_report.page import page, write
+from deltaq_experiments.run_report.run import RunEvent, RunEventKind, read_run
 from deltaq_protocol import topics
 from deltaq_protocol.audit import AuditEntry, AuditKind, AuditOutcome
+from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.guarded import Command, CommandReply, Plan, ServerState
 from deltaq_protocol.messages import (
     NearestPair,
@@ -149,7 +150,7 @@ def elements(html: str) -> Elements:
 def test_a_recording_without_states_is_reported(cell: CellModel, tmp_path: Path) -> None:
     file = tmp_path / "empty.mcap"
     RecordingWriter(file, cell.description_message(), "live").close()
-    with pytest.raises(EmptyRecordingError, match=r"empty\.mcap has no state of any robot"):
+    with pytest.raises(DeltaqError, match=r"empty\.mcap has no state of any robot"):
         read_run(file)
 
 
@@ -175,7 +176,7 @@ def test_a_truncated_recording_is_reported_up_to_its_end_with_a_notice(
 def test_a_report_never_overwrites_a_file(tmp_path: Path) -> None:
     file = tmp_path / "run.html"
     file.write_text("something dear")
-    with pytest.raises(ReportError, match="name another file with --output"):
+    with pytest.raises(DeltaqError, match="name another file with --output"):
         write(file, "page")
     assert file.read_text() == "something dear"
 
@@ -185,10 +186,10 @@ def test_a_full_disk_leaves_no_partial_report(tmp_path: Path) -> None:
     file = tmp_path / "run.html"
     code = (
         "import sys, resource, signal; from pathlib import Path\n"
-        "from deltaq_experiments.run_report.page import ReportError, write\n"
+        "from deltaq_experiments.run_report.page import DeltaqError, write\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN); resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
         "try: write(Path(sys.argv[1]), 'x' * 100_000)\n"
-        "except ReportError as error: print(error)\n"
+        "except DeltaqError as error: print(error)\n"
     )
     done = ran([sys.executable, "-c", code, str(file)])
     assert "run.html cannot be written: File too large" in done.stdout

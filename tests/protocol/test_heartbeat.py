@@ -10,7 +10,8 @@ from installed import ROOT
 from ran import ran
 
 from deltaq_protocol import heartbeat
-from deltaq_protocol.heartbeat import HEALTH_FILE, NOTIFY_SOCKET, Heartbeat, HeartbeatError
+from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.heartbeat import HEALTH_FILE, NOTIFY_SOCKET, Heartbeat
 
 HEALTHY = ROOT / "deploy" / "healthy.sh"
 
@@ -81,7 +82,7 @@ def test_an_unwritable_heartbeat_file_is_reported_and_a_link_is_not_followed(tmp
     link = tmp_path / "health"
     link.symlink_to(tmp_path / "victim")
     for file in (link, tmp_path / "none" / "health"):
-        with pytest.raises(HeartbeatError, match="cannot be written"):
+        with pytest.raises(DeltaqError, match="cannot be written"):
             Heartbeat({HEALTH_FILE: str(file)})
     assert not (tmp_path / "victim").exists()
 

@@ -8,7 +8,8 @@ import pytest
 from ran import ran
 
 from deltaq_protocol import stamps as module
-from deltaq_protocol.stamps import FOLDER, StampError, Stamps, StampStation, read_stamps, stamps_if_asked
+from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.stamps import FOLDER, Stamps, StampStation, read_stamps, stamps_if_asked
 
 
 def filled(count: int, capacity: int) -> Stamps:
@@ -75,7 +76,7 @@ def test_stamps_of_several_threads_do_not_overwrite_one_another(tmp_path: Path) 
 def test_a_damaged_file_is_reported_by_name(tmp_path: Path, content: bytes, why: str) -> None:
     file = tmp_path / "sim-1.stamps"
     file.write_bytes(content)
-    with pytest.raises(StampError, match=why) as caught:
+    with pytest.raises(DeltaqError, match=why) as caught:
         read_stamps(file)
     assert str(file) in str(caught.value)
 

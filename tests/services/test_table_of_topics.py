@@ -13,9 +13,10 @@ from gate_rig import Rig
 from small_cell import endpoint, server_state, small_cell, told, tool_pose
 from table import change_row
 
-from deltaq_deploy.command.streams import UnknownTopicError, open_stream
+from deltaq_deploy.command.streams import open_stream
 from deltaq_protocol import topics
 from deltaq_protocol.access import access
+from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.guarded import Health
 from deltaq_protocol.messages import (
     Increment,
@@ -315,7 +316,7 @@ def test_no_client_reads_messages_of_another_or_publishes_for_the_server(
 
 def test_clients_cannot_watch_topics_without_the_right_to_read(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(
-        UnknownTopicError, match=r"'increment' is read by the HLI alone; .* are state, verdict, prox"
+        DeltaqError, match=r"'increment' is read by the HLI alone; .* are state, verdict, prox"
     ):
         open_stream("increment")
     change_row(monkeypatch, "INCREMENT", readers=(Party.HLI, Party.CLIENT))

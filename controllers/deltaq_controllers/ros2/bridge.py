@@ -156,10 +156,6 @@ _SILENCE_S = 1.0
 """Time after which a waiting trajectory ends if no state arrives, so that none begins unexpectedly."""
 
 
-class BridgeUseError(DeltaqError):
-    """The bridge was given impossible options."""
-
-
 @dataclass(frozen=True)
 class RosSide:
     """The bridge's place in ROS.
@@ -171,7 +167,7 @@ class RosSide:
         accepts: robots that trajectories may move.
 
     Raises:
-        RosNameError: a domain or a namespace that ROS does not allow.
+        DeltaqError: a domain or a namespace that ROS does not allow.
         InvalidEndpointError: `endpoint` is no address.
     """
 
@@ -195,14 +191,14 @@ class Bridge:
         ros: the other side.
 
     Raises:
-        BridgeUseError: both sides have one address.
+        DeltaqError: both sides have one address.
     """
 
     def __init__(self, hli: str, ros: RosSide) -> None:
         self._hli, self._ros = hli, ros
         here, there = Endpoint.parse(hli), Endpoint.parse(ros.endpoint)
         if here.port == there.port and (here.host == there.host or (here.is_loopback and there.is_loopback)):
-            raise BridgeUseError(
+            raise DeltaqError(
                 f"--ros-endpoint {ros.endpoint}: the cell's HLI listens there ({hli}), which is no router of ROS; let "
                 f"the router listen on another port, e.g. that of {DEFAULT_ROS_ENDPOINT}"
             )
@@ -222,7 +218,7 @@ class Bridge:
 
         Raises:
             ServiceUnreachableError: one of them is not there at the beginning.
-            BridgeUseError: the cell has no such robot, or two robots have one name in ROS.
+            DeltaqError: the cell has no such robot, or two robots have one name in ROS.
         """
         has_begun = asyncio.Event()
         while True:
@@ -270,10 +266,10 @@ class Bridge:
         for robot in self._ros.accepts:
             if robot not in cell.robots:
                 has = ", ".join(cell.robots)
-                raise BridgeUseError(f"no robot {robot!r} in cell {cell.description.cell}; it has {has}")
+                raise DeltaqError(f"no robot {robot!r} in cell {cell.description.cell}; it has {has}")
         names = [ros_name(robot) for robot in cell.robots]
         if len(set(names)) < len(names):
-            raise BridgeUseError(f"robots {', '.join(cell.robots)}: two of them get the same name in ROS")
+            raise DeltaqError(f"robots {', '.join(cell.robots)}: two of them get the same name in ROS")
         return self._ros.namespace or f"/{ros_name(cell.description.cell)}"
 
     async def _publish(self, cell: Cell, robot: str, publisher: RosPublisher) -> None:

@@ -25,10 +25,6 @@ _GID_BYTES = 16
 _ATTACHMENT = struct.Struct(f"<qqB{_GID_BYTES}s")
 
 
-class RosNameError(DeltaqError):
-    """A name or a number that ROS does not allow."""
-
-
 @dataclass(frozen=True, slots=True)
 class RosNode:
     """A node, the only one of its zenoh session.
@@ -135,12 +131,12 @@ def checked_namespace(namespace: str) -> str:
     """A namespace such as `/lab` or `/plant/cell_2`; `/` is the empty one.
 
     Raises:
-        RosNameError: it is none.
+        DeltaqError: it is none.
     """
     parts = namespace.split("/")[1:]
     if namespace == "/" or (namespace[:1] == "/" and all(map(_is_name, parts))):
         return namespace
-    raise RosNameError(
+    raise DeltaqError(
         f"no ROS namespace: {namespace!r}; write / or names behind slashes, of letters, digits and single "
         "underscores, none beginning with a digit, e.g. /lab"
     )
@@ -150,11 +146,11 @@ def checked_domain_id(domain_id: int) -> int:
     """A domain.
 
     Raises:
-        RosNameError: it is out of bounds.
+        DeltaqError: it is out of bounds.
     """
     if 0 <= domain_id <= MAX_DOMAIN_ID:
         return domain_id
-    raise RosNameError(f"ROS domain {domain_id}: allowed are 0 to {MAX_DOMAIN_ID}")
+    raise DeltaqError(f"ROS domain {domain_id}: allowed are 0 to {MAX_DOMAIN_ID}")
 
 
 def _is_name(name: str) -> bool:

@@ -19,10 +19,6 @@ if TYPE_CHECKING:
     from deltaq_protocol.blocking import BlockingCell, BlockingRobot
 
 
-class LagError(DeltaqError):
-    """The lag of a robot's drives could not be measured."""
-
-
 def lag(
     robot: RobotOption,
     cell: CellOption = "lab",
@@ -63,13 +59,15 @@ def _require_ready(running: BlockingCell, robot: str) -> None:
         known = ((axis, lag_s) for axis, lag_s in zip(joints, status.lag_s, strict=True) if lag_s is not None)
         axis, longest_s = max(known, key=lambda one: one[1], default=("?", 0.0))
         least_s = least_servo_lag_s(longest_s, running.description.cycle_s)
-        raise LagError(
+        raise DeltaqError(
             f"{robot} is held: axis {axis} lagged {longest_s * 1e3:.0f} ms in the probe of its session, more than the "
             f"gate presumes; set gate.servo_lag_s to at least {least_s:g}, start the cell again, and measure anew"
         )
     if status.phase != "ready":
         why = f" ({status.reason})" if status.reason else ""
-        raise LagError(f"{robot} is {status.phase}{why}, and has to be ready: deltaq reset --robot {robot}")
+        raise DeltaqError(
+            f"{robot} is {status.phase}{why}, and has to be ready: deltaq reset --robot {robot}"
+        )
 
 
 def _courses(leased: BlockingRobot, cycle_s: float, quiet: bool) -> list[DrivenSweep]:
@@ -90,7 +88,7 @@ def _courses(leased: BlockingRobot, cycle_s: float, quiet: bool) -> list[DrivenS
             leased.send(dq)
             state = next(states)
             if state.phase == "held":
-                raise LagError(
+                raise DeltaqError(
                     f"{leased.name} was held ({state.reason}) while {leased.summary.joints[axis]} moved"
                 )
             seen.append(state)
@@ -108,7 +106,7 @@ def _measured(
         try:
             measured[joint] = measured_axis([course for course in courses if course.axis == axis], cycle_s)
         except ValueError as error:
-            raise LagError(
+            raise DeltaqError(
                 f"axis {joint}: {error}; is something else moving it, or did the gate hold it back? "
                 "Measure in free space"
             ) from error

@@ -19,15 +19,11 @@ if TYPE_CHECKING:
     from deltaq_protocol.topic import Topic
 
 
-class UnknownTopicError(DeltaqError):
-    """No such topic, or none that can be watched."""
-
-
 def by_name(name: str) -> Topic:
     """The row of that name.
 
     Raises:
-        UnknownTopicError: naming those that there are.
+        DeltaqError: naming those that there are.
     """
     from deltaq_protocol.topics import TOPICS
 
@@ -37,7 +33,7 @@ def by_name(name: str) -> Topic:
     names = [topic.name for topic in TOPICS]
     near = difflib.get_close_matches(name, names, n=1)
     hint = f"did you mean {near[0]!r}? " if near else ""
-    raise UnknownTopicError(f"no topic {name!r}; {hint}the topics are {', '.join(names)}")
+    raise DeltaqError(f"no topic {name!r}; {hint}the topics are {', '.join(names)}")
 
 
 def open_streams() -> tuple[Topic, ...]:
@@ -56,7 +52,7 @@ def open_stream(name: str) -> Topic:
     """The row of that name, if it can be watched.
 
     Raises:
-        UnknownTopicError: if there is none, or it is a query, or belongs to the guarded realm.
+        DeltaqError: if there is none, or it is a query, or belongs to the guarded realm.
     """
     from deltaq_protocol.topic import Kind, Realm
 
@@ -70,7 +66,7 @@ def open_stream(name: str) -> Topic:
             else f"is read by the {' and the '.join(topic.readers)} alone"
         )
         names = ", ".join(row.name for row in open_streams())
-        raise UnknownTopicError(f"topic {name!r} {why}; those that can be watched are {names}")
+        raise DeltaqError(f"topic {name!r} {why}; those that can be watched are {names}")
     return topic
 
 

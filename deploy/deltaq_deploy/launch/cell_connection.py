@@ -19,14 +19,6 @@ from deltaq_protocol.session import open_session
 from deltaq_protocol.topic import Topic
 
 
-class UnknownRobotError(DeltaqError):
-    """The cell has no robot of the given name."""
-
-
-class OtherCellError(DeltaqError):
-    """Another cell is running at the address of the one that was meant."""
-
-
 @dataclass(frozen=True)
 class Where:
     """The address of a running cell.
@@ -53,7 +45,7 @@ class Where:
         Raises:
             InvalidEndpointError: `url` is no address.
             CellError: `cell` cannot be read.
-            UnknownRobotError: the cell has no such robot.
+            DeltaqError: the cell has no such robot.
         """
         if url is not None:
             return cls(str(Endpoint.parse(url)), robot=robot)
@@ -68,10 +60,10 @@ def known_robot(cell: CellDescription | Description, robot: str) -> None:
     """Check the name of a robot, before anything is asked about it; an empty one means all of them.
 
     Raises:
-        UnknownRobotError: naming those that the cell has.
+        DeltaqError: naming those that the cell has.
     """
     if robot and robot not in cell.robots:
-        raise UnknownRobotError(f"no robot {robot!r} in cell {cell.cell}; it has {', '.join(cell.robots)}")
+        raise DeltaqError(f"no robot {robot!r} in cell {cell.cell}; it has {', '.join(cell.robots)}")
 
 
 @contextmanager
@@ -85,8 +77,7 @@ def connect(cell: CellDescription | Where, client: str, token: str | None = None
 
     Raises:
         ServiceUnreachableError: if no HLI is there.
-        OtherCellError: if it serves another cell, or has read another description of it.
-        UnknownRobotError: it has no such robot.
+        DeltaqError: if it serves another cell, or has read another description of it, or it has no such robot.
     """
     with blocking.connect(cell.hli, client, token) as running:
         check_same(cell, running.description)
@@ -97,11 +88,10 @@ def check_same(cell: CellDescription | Where, running: Description) -> None:
     """Check that the cell that runs is the one that is meant.
 
     Raises:
-        OtherCellError: it is another cell, or has read another description of it.
-        UnknownRobotError: it has no such robot.
+        DeltaqError: it is another cell, or has read another description of it, or it has no such robot.
     """
     if cell.cell is not None and running.cell != cell.cell:
-        raise OtherCellError(
+        raise DeltaqError(
             f"{cell.hli} serves cell {running.cell}, not {cell.cell}; name the right one with --cell"
         )
     if isinstance(cell, CellDescription):
@@ -116,7 +106,7 @@ def _compare(cell: CellDescription, running: Description) -> None:
     ours, theirs = content_identity(cell), CellIdentity.parse(running.identity)
     if not ours.is_same(theirs):
         said = mismatch(f"the HLI at {cell.hli}", theirs, ours)
-        raise OtherCellError(
+        raise DeltaqError(
             f"{said}; restart the cell if its file has changed, or name the right one with --cell"
         )
 
@@ -139,7 +129,7 @@ def describe(where: Where, client: str) -> Description:
 
     Raises:
         ServiceUnreachableError: if no HLI is there.
-        OtherCellError: if it serves another cell.
+        DeltaqError: if it serves another cell.
     """
     with connect(where, client) as running:
         return running.description

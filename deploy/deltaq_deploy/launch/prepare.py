@@ -169,10 +169,6 @@ def _listen(compiler: subprocess.Popen[str], what: str, on_function: Callable[[s
 # Whether a cell's addresses can be those of real robots, checked before anything listens.
 
 
-class NotRealError(DeltaqError):
-    """A cell that is not ready for real robots; the message has a line for each reason."""
-
-
 def refuse_unreal(cell: CellDescription, file: Path, robots: Iterable[str]) -> None:
     """Refuse addresses at which no real KRC can be, and files of a KRC that cannot be safe.
 
@@ -184,11 +180,11 @@ def refuse_unreal(cell: CellDescription, file: Path, robots: Iterable[str]) -> N
         robots: those whose Robot Server is to run here.
 
     Raises:
-        NotRealError: with every reason.
+        DeltaqError: with every reason.
         EthernetConfigError: a `*_ethernet.xml` cannot be read.
     """
     if reasons := [reason for name in robots for reason in _reasons(cell, file, name)]:
-        raise NotRealError("\n".join(["this cell is not ready for real robots:", *reasons]))
+        raise DeltaqError("\n".join(["this cell is not ready for real robots:", *reasons]))
 
 
 def _reasons(cell: CellDescription, file: Path, name: str) -> Iterator[str]:

@@ -21,10 +21,6 @@ from deltaq_services.video_stream import newest_picture, video_socket
 TIMEOUT_S = 3.0
 
 
-class NoProbeError(DeltaqError):
-    """The service has no health check."""
-
-
 class _Panel(BaseModel):
     """The part of an emulator's panel status that is used."""
 
@@ -53,12 +49,12 @@ def probe(service: Service, cell: CellDescription) -> ProbeAnswer:
 
     Raises:
         ServiceUnreachableError: if it does not answer within `TIMEOUT_S`.
-        NoProbeError: if it has no health check.
+        DeltaqError: if it has no health check.
         GuardedRealmError: if it answers in a guarded realm that cannot be entered.
         RuntimeFolderError: if the folder of the sockets is not this user's alone.
     """
     if service.probe is None or service.endpoint is None:
-        raise NoProbeError(f"{service.name} reports no health")
+        raise DeltaqError(f"{service.name} reports no health")
     try:
         match service.probe:
             case Probe.HEALTH_TOPIC:

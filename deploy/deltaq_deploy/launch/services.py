@@ -108,10 +108,6 @@ class Service:
     realm: str | None = None
 
 
-class UnknownServiceError(DeltaqError):
-    """The cell has no service of the given name."""
-
-
 def cell_services(
     cell: CellDescription, cell_name: str, real: bool = False, audit: str = ""
 ) -> tuple[Service, ...]:
@@ -256,7 +252,7 @@ def select(services: Sequence[Service], names: Sequence[str]) -> tuple[Service, 
     """The rows with these names or roles, in the order of the table.
 
     Raises:
-        UnknownServiceError: if a name is neither.
+        DeltaqError: if a name is neither.
     """
     for name in names:
         if not any(name in (service.name, service.role) for service in services):
@@ -268,7 +264,7 @@ def one(services: Sequence[Service], name: str) -> Service:
     """The row of this name.
 
     Raises:
-        UnknownServiceError: if there is none.
+        DeltaqError: if there is none.
     """
     for service in services:
         if service.name == name:
@@ -276,9 +272,9 @@ def one(services: Sequence[Service], name: str) -> Service:
     raise _unknown(services, name)
 
 
-def _unknown(services: Sequence[Service], name: str) -> UnknownServiceError:
+def _unknown(services: Sequence[Service], name: str) -> DeltaqError:
     allowed = ", ".join(service.name for service in services)
-    return UnknownServiceError(f"no service {name!r} in this cell; it has {allowed}")
+    return DeltaqError(f"no service {name!r} in this cell; it has {allowed}")
 
 
 def _reached_at(address: str) -> str:

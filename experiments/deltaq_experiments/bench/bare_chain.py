@@ -43,10 +43,6 @@ _RING = 16
 _ENDS_WITHIN_S = 10.0
 
 
-class BareChainError(DeltaqError):
-    """A process of the chain ended before its time, or did not serve."""
-
-
 class BareChain(BaseModel, frozen=True):
     """Cost of the reference chain.
 
@@ -77,7 +73,7 @@ def measured(
         wait: waits for a time [s]; an exception ends the chain.
 
     Raises:
-        BareChainError: if a process ends, or does not serve in time.
+        DeltaqError: if a process ends, or does not serve in time.
     """
     names = [
         *(f"robot-server-{robot}" for robot in robots),
@@ -95,14 +91,14 @@ def measured(
         cycles = (time.monotonic() - begin_s) / cycle_s
         ended = [name for name, process in processes.items() if process.poll() is not None]
         if ended:
-            raise BareChainError(f"{ended[0]} of the bare chain ended before its time")
+            raise DeltaqError(f"{ended[0]} of the bare chain ended before its time")
         spent = {name: processor_seconds(processes[name].pid) - before for name, before in spent.items()}
         woken = {name: wakeups(processes[name].pid) - before for name, before in woken.items()}
         servers = (processes[f"robot-server-{robot}"] for robot in robots)
         told = [json.loads(server.communicate(timeout=_ENDS_WITHIN_S)[0]) for server in servers]
     ages = Quantiles.of([1e3 * age_s for one in told for age_s in one["ages_s"]])
     if ages.p50 is None or ages.p99 is None:
-        raise BareChainError("no message came through the bare chain")
+        raise DeltaqError("no message came through the bare chain")
     return BareChain(
         processor_us={name: 1e6 * spent_s / cycles for name, spent_s in spent.items()},
         wakeups={name: count / cycles for name, count in woken.items()},
@@ -139,7 +135,7 @@ def _start(name: str, folder: Path, cycle_s: float, stack: ExitStack) -> subproc
     assert process.stdout is not None
     if process.stdout.readline() != "ready\n":
         last = process.communicate()[1].strip().rpartition("\n")[2]
-        raise BareChainError(f"{name} of the bare chain did not serve: {last}")
+        raise DeltaqError(f"{name} of the bare chain did not serve: {last}")
     return process
 
 

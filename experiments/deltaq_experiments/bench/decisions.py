@@ -46,10 +46,6 @@ CELL = "lab"
 FILE = Path(__file__).with_name("cornered.msgpack.gz")
 
 
-class CorneredError(DeltaqError):
-    """The stored situations cannot be read."""
-
-
 @dataclass(frozen=True)
 class CorneredSituation:
     """The inputs of one decision.
@@ -67,14 +63,14 @@ def stored(file: Path = FILE) -> list[CorneredSituation]:
     """The stored situations.
 
     Raises:
-        CorneredError: if the file is damaged.
+        DeltaqError: if the file is damaged.
         InvalidMessageError: if its messages are not those of this version.
     """
     try:
         pairs = msgpack.unpackb(gzip.decompress(file.read_bytes()))
         split = [(bytes(memory), bytes(request)) for memory, request in pairs]
     except (OSError, EOFError, ValueError, TypeError) as error:
-        raise CorneredError(f"{file} holds no situations: {error}; write it anew") from error
+        raise DeltaqError(f"{file} holds no situations: {error}; write it anew") from error
     return [CorneredSituation(unpack(GateMemory, one), unpack(Request, other)) for one, other in split]
 
 

@@ -23,10 +23,6 @@ from deltaq_protocol.stamps import StampStation
 _HERE = Path(__file__).parent
 
 
-class CompilerError(DeltaqError):
-    """There is no C compiler, or it failed."""
-
-
 def program(name: str, folder: Path) -> str:
     """The program of `NAME.c` of this folder, made by the compiler that CC names, or by `cc`.
 
@@ -35,19 +31,19 @@ def program(name: str, folder: Path) -> str:
         folder: for the executable.
 
     Raises:
-        CompilerError: if there is no compiler, or it cannot compile it.
+        DeltaqError: if there is no compiler, or it cannot compile it.
     """
     compiler = os.environ.get("CC") or "cc"
     found = shutil.which(compiler)
     if found is None:
-        raise CompilerError(
+        raise DeltaqError(
             f"the reference is a C program, and there is no compiler {compiler!r}: install one, or name it in CC"
         )
     made = folder / name
     command = [found, "-std=gnu11", "-O2", "-o", str(made), str(_HERE / f"{name}.c")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        raise CompilerError(f"{' '.join(command)} failed:\n{done.stderr.strip()}")
+        raise DeltaqError(f"{' '.join(command)} failed:\n{done.stderr.strip()}")
     return str(made)
 
 
@@ -151,10 +147,6 @@ _LONGER_S = 1.0
 _ENDS_WITHIN_S = 10.0
 
 
-class HopReferenceError(DeltaqError):
-    """The reference did not run to its end."""
-
-
 @dataclass(frozen=True)
 class HopTimes:
     """Results of the reference.
@@ -214,16 +206,14 @@ class HopReference:
         """Wait for its end; returns the measurements of messages that were sent within a window [ns].
 
         Raises:
-            HopReferenceError: if it fails, or does not end.
+            DeltaqError: if it fails, or does not end.
         """
         try:
             _, said = self.process.communicate(timeout=self._length_s + _ENDS_WITHIN_S)
         except subprocess.TimeoutExpired as error:
-            raise HopReferenceError("the reference of bare sockets did not end") from error
+            raise DeltaqError("the reference of bare sockets did not end") from error
         if self.process.returncode != 0:
-            raise HopReferenceError(
-                f"the reference of bare sockets ended with {self.process.returncode}: {said}"
-            )
+            raise DeltaqError(f"the reference of bare sockets ended with {self.process.returncode}: {said}")
         rows = np.fromfile(self._file, dtype="=i8").astype(np.int64).reshape(-1, _STAMPS)
         within = (rows[:, 0] >= begin_ns) & (rows[:, 0] < end_ns)
         return HopTimes(self._cycle_s, rows[within])

@@ -95,7 +95,7 @@ def run_once(options: LiveOptions, on_time: Callable[[float], None] | None = Non
     Raises:
         LaunchError: if a service does not come up, or ends before its time.
         LaunchInterruptedError: if a signal came first.
-        HopReferenceError, BareChainError: if a reference fails.
+        DeltaqError: if a reference fails.
     """
     cell = load_cell(options.cell)
     leader, follower = demo_controllers(cell)

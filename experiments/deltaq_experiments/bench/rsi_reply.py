@@ -61,10 +61,6 @@ _LEFT_OUT = 250
 _LONGER_S = 20.0
 
 
-class RsiReplyError(DeltaqError):
-    """The Robot Server could not be measured."""
-
-
 def rsi_reply(cycles: int = CYCLES) -> BenchRow:
     """Time from a telegram to its reply.
 
@@ -73,7 +69,7 @@ def rsi_reply(cycles: int = CYCLES) -> BenchRow:
 
     Raises:
         LaunchError: if the Robot Server does not come up.
-        RsiReplyError: if it does not answer.
+        DeltaqError: if it does not answer.
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -97,16 +93,16 @@ def rsi_reply(cycles: int = CYCLES) -> BenchRow:
             try:
                 _, said = asker.communicate(timeout=(cycles + _LEFT_OUT) * cycle_s + _LONGER_S)
             except subprocess.TimeoutExpired as error:
-                raise RsiReplyError("the reference of the RSI reply did not end") from error
+                raise DeltaqError("the reference of the RSI reply did not end") from error
             finally:
                 asker.kill()
                 asker.communicate()
         if asker.returncode != 0:
-            raise RsiReplyError(f"the reference of the RSI reply ended with {asker.returncode}: {said}")
+            raise DeltaqError(f"the reference of the RSI reply ended with {asker.returncode}: {said}")
         took = np.fromfile(file, dtype="=i8").reshape(-1, 2)[_LEFT_OUT:] / 1e9
     server, echo = (column[column >= 0.0].tolist() for column in took.T)
     if len(server) < cycles / 2 or len(echo) < cycles / 2:
-        raise RsiReplyError(f"of {cycles} telegrams {len(server)} were answered, {len(echo)} by the echo")
+        raise DeltaqError(f"of {cycles} telegrams {len(server)} were answered, {len(echo)} by the echo")
     return BenchRow.of(
         f"an RSI reply, {len(cell.robots[ROBOT].joints)} axes at {cycle_s * 1e3:g} ms, one core",
         "an echo of the same bytes in C",

@@ -239,27 +239,23 @@ def _span(lower: float, upper: float, unit: str) -> str:
     return f"{_amount(lower, unit)} to {_amount(upper, unit)}"
 
 
-class ReportError(DeltaqError):
-    """A report that cannot be written."""
-
-
 def must_be_free(file: Path) -> None:
     """Check the place of a report before a long recording is read for it.
 
     Raises:
-        ReportError: there is a file already, or no folder for it.
+        DeltaqError: there is a file already, or no folder for it.
     """
     if file.exists():
-        raise ReportError(f"{file} exists already; it is not overwritten, name another file with --output")
+        raise DeltaqError(f"{file} exists already; it is not overwritten, name another file with --output")
     if not file.parent.is_dir():
-        raise ReportError(f"{file} cannot be written: there is no folder {file.parent}")
+        raise DeltaqError(f"{file} cannot be written: there is no folder {file.parent}")
 
 
 def write(file: Path, text: str) -> None:
     """Write a report.
 
     Raises:
-        ReportError: there is a file already, or it cannot be written.
+        DeltaqError: there is a file already, or it cannot be written.
     """
     must_be_free(file)
     begun = False
@@ -271,4 +267,4 @@ def write(file: Path, text: str) -> None:
         if begun:
             with contextlib.suppress(OSError):  # half a report would pass for a whole one
                 file.unlink()
-        raise ReportError(f"{file} cannot be written: {error.strerror}") from error
+        raise DeltaqError(f"{file} cannot be written: {error.strerror}") from error

@@ -200,10 +200,6 @@ _SAME_EVENT_S = 1.0
 """The same fault within this time is one event."""
 
 
-class EmptyRecordingError(DeltaqError):
-    """The recording has no state of any robot."""
-
-
 class RunEventKind(StrEnum):
     """What an event is about."""
 
@@ -282,7 +278,7 @@ def read_run(path: Path, on_progress: Callable[[int, int], None] | None = None) 
     Raises:
         UnreadableRecordingError: it is no recording.
         CellError: this version cannot read the recorded cell.
-        EmptyRecordingError: no robot has a state in it.
+        DeltaqError: no robot has a state in it.
     """
     recording = Recording.open(path)
     cell = recording.cell()
@@ -300,7 +296,7 @@ def read_run(path: Path, on_progress: Callable[[int, int], None] | None = None) 
     run.notices = list(recording.notices)
     if not any(robot.time_s.size for robot in run.robots.values()):
         why = f": {run.notices[0]}" if run.notices else ""
-        raise EmptyRecordingError(
+        raise DeltaqError(
             f"{path} has no state of any robot{why}; there is nothing to report. "
             "Record while the cell is up: `deltaq recording record --output FILE`"
         )

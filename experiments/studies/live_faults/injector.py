@@ -16,6 +16,7 @@ from deltaq_cell.load import load_cell
 from deltaq_deploy.launch.cell_connection import connect
 from deltaq_deploy.launch.services import Role
 from deltaq_protocol import topics
+from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import PROTOCOL_VERSION
 from deltaq_protocol.session import open_session
 from deltaq_testing.faults.catalogue import (
@@ -30,7 +31,6 @@ from deltaq_testing.faults.catalogue import (
     StepClock,
 )
 from deltaq_testing.faults.live_inject import Injector
-from deltaq_testing.faults.virtual import FaultRunError
 from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 from deltaq_testing.virtual_cell.parts import Process
 from studies.live_faults.clocks import Clocks, SettableClocks
@@ -106,7 +106,7 @@ class EveryFaultInjector(Injector):
         with connect(self.cell, "deltaq fault") as running:
             while not running.status().hli.get("tcp_states_skipped"):
                 if self._reader.poll() is not None or time.monotonic() > deadline:
-                    raise FaultRunError("no client could be made to hang there without reading")
+                    raise DeltaqError("no client could be made to hang there without reading")
 
     def inject(self, fault: Fault) -> None:
         """Let the fault begin."""

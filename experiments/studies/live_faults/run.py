@@ -11,7 +11,7 @@ import numpy as np
 from deltaq_deploy.launch.cell_connection import connect
 from deltaq_emulator.states import KrcState
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
+from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_testing.faults.catalogue import (
@@ -35,7 +35,7 @@ from deltaq_testing.faults.report import (
     motion_after,
     recovery_text,
 )
-from deltaq_testing.faults.virtual import ATTEMPTS, FaultRunError, table_of
+from deltaq_testing.faults.virtual import ATTEMPTS, table_of
 from deltaq_testing.oracle import ClearanceOracle, record_cycle_s, rows_of
 from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 from deltaq_testing.virtual_cell.parts import Process
@@ -103,7 +103,7 @@ def run_live_faults(
 
     Raises:
         LaunchError: if a service does not come up.
-        FaultRunError: if the robot never got to its cruising speed.
+        DeltaqError: if the robot never got to its cruising speed.
         NoCompilerError: if clocks are to be set, and the library for that cannot be made.
     """
     waiting: dict[Needs, list[Fault]] = {}
@@ -207,7 +207,7 @@ class _Run:
                 self._reset()  # a busy machine may have lost the KRC while the cell came up
             fastest = max(fastest, step)
         phase, reason = self._phase()
-        raise FaultRunError(
+        raise DeltaqError(
             f"{self._robot} did not get to its cruising speed with room to go on within {_START_S:g} s: it is {phase}"
             f"{f' ({reason})' if reason else ''}, the fastest seen was {fastest / self._cruise:.0%} of that; is the "
             "machine busy with other work?"

@@ -20,10 +20,6 @@ _TELEGRAM = b'<Rob TYPE="KUKA"><IPOC>1</IPOC></Rob>'
 _UDP_HEADER = struct.Struct("!HHHH")
 
 
-class NoRawSocketError(DeltaqError):
-    """Only a privileged user may send from port 0."""
-
-
 class Bomber:
     """A second sender; a context manager that sends while inside.
 
@@ -32,7 +28,7 @@ class Bomber:
         to: address of the Robot Server.
 
     Raises:
-        NoRawSocketError: if this user may not send from port 0.
+        DeltaqError: if this user may not send from port 0.
     """
 
     def __init__(self, how: Bombard, to: Address) -> None:
@@ -46,7 +42,7 @@ class Bomber:
         try:
             self._socket = socket.socket(socket.AF_INET, socket.SOCK_RAW, socket.IPPROTO_UDP)
         except PermissionError as error:
-            raise NoRawSocketError(
+            raise DeltaqError(
                 "only a privileged user may send from port 0; leave out krc-port-zero, or run it as root"
             ) from error
         header = _UDP_HEADER.pack(0, to[1], _UDP_HEADER.size + len(_TELEGRAM), 0)

@@ -230,10 +230,6 @@ ATTEMPTS = 4
 _START_CYCLES = 300
 
 
-class FaultRunError(DeltaqError):
-    """The robot did not move before there was any fault."""
-
-
 def run_fault(fault: Fault, loaded: LoadedCell, robot: str, seed: int = 0) -> FaultEffect:
     """Let a moving robot suffer one fault.
 
@@ -244,7 +240,7 @@ def run_fault(fault: Fault, loaded: LoadedCell, robot: str, seed: int = 0) -> Fa
         seed: of the wires' random numbers.
 
     Raises:
-        FaultRunError: if the robot never got to its cruising speed.
+        DeltaqError: if the robot never got to its cruising speed.
     """
     run = _Run(loaded, robot, seed)
     run.reach_cruise()
@@ -325,7 +321,7 @@ class _Run:
             if self._step() > self.cruise - TELEGRAM_STEP:
                 break
         else:
-            raise FaultRunError(f"{self.robot} did not reach its speed in {_START_CYCLES} cycles")
+            raise DeltaqError(f"{self.robot} did not reach its speed in {_START_CYCLES} cycles")
         for _ in range(CRUISE_CYCLES):
             self.cycle()
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from deltaq_protocol.errors import DeltaqError
 from deltaq_testing import private_cell
-from deltaq_testing.private_cell import NoFreePortsError
 
 
 @pytest.fixture
@@ -41,7 +41,7 @@ def test_a_folder_of_another_user_is_refused(folder: Path, tmp_path: Path, what:
     else:
         folder.mkdir()
         folder.chmod(0o777)
-    with pytest.raises(NoFreePortsError, match="remove it"):
+    with pytest.raises(DeltaqError, match="remove it"):
         claim()
     assert not list(elsewhere.iterdir())
 

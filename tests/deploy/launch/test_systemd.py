@@ -8,8 +8,9 @@ import pytest
 from ran import ran
 
 from deltaq_cell.load import load_cell
-from deltaq_deploy.launch.services import RESOURCES, UnknownServiceError, cell_services, console_service
+from deltaq_deploy.launch.services import RESOURCES, cell_services, console_service
 from deltaq_deploy.launch.systemd import PYTHON, STOPS_WITHIN_S, TARGET, main, unit, units
+from deltaq_protocol.errors import DeltaqError
 
 FOLDER = Path(__file__).parents[3] / "deploy" / "systemd"
 Unit = dict[str, list[str]]
@@ -137,7 +138,7 @@ def test_one_machine_of_several_gets_its_own_services(tmp_path: Path) -> None:
     assert words(settings, "After") == ["network-online.target"]
     # over TLS the user names identities, in /etc/deltaq/deltaq.env
     assert not any("GUARDED_FOLDER" in value for value in settings["Environment"])
-    with pytest.raises(UnknownServiceError, match="no service 'emulator-fr'"):
+    with pytest.raises(DeltaqError, match="no service 'emulator-fr'"):
         units(str(cell), real=True, only=["emulator-fr"])
 
 

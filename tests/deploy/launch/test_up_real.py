@@ -8,7 +8,8 @@ from typer.testing import CliRunner
 from deltaq_cell.find import find_cell, resolve_near
 from deltaq_cell.load import load_cell
 from deltaq_deploy.command.app import app
-from deltaq_deploy.launch.prepare import NotRealError, refuse_unreal
+from deltaq_deploy.launch.prepare import refuse_unreal
+from deltaq_protocol.errors import DeltaqError
 
 
 def cell_file(folder: Path, driver: str, ip_number: str = "192.168.10.10", robot: str = "fr") -> Path:
@@ -23,7 +24,7 @@ def cell_file(folder: Path, driver: str, ip_number: str = "192.168.10.10", robot
 
 
 def reasons(file: Path) -> list[str]:
-    with pytest.raises(NotRealError) as refused:
+    with pytest.raises(DeltaqError) as refused:
         refuse_unreal(load_cell(file), file, ["fr"])
     headline, *lines = str(refused.value).splitlines()
     assert headline == "this cell is not ready for real robots:"
@@ -68,7 +69,7 @@ def test_the_loopback_passes_for_a_separately_started_emulator(tmp_path: Path) -
 
 def test_the_shipped_cell_is_refused_with_status_2_and_starts_nothing() -> None:
     result = CliRunner().invoke(app, ["up", "--cell", "lab", "--real"])
-    assert isinstance(result.exception, NotRealError)
+    assert str(result.exception).startswith("this cell is not ready for real robots:")
     assert result.output == ""
 
 
