@@ -11,10 +11,9 @@ import numpy as np
 
 from deltaq_cell.description import RobotDescription, RsiDescription
 from deltaq_emulator.catalogue import Code, KrcMessage
-from deltaq_emulator.corrections import CorrectionLimits, Corrections
+from deltaq_emulator.corrections import CorrectionLimits, Corrections, Monitors
 from deltaq_emulator.drives import Drives
 from deltaq_emulator.faults import Forgery
-from deltaq_emulator.monitors import Monitors
 from deltaq_emulator.recorder import Sample
 from deltaq_emulator.replies import ReplyJudge
 from deltaq_emulator.settings import (

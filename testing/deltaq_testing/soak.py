@@ -15,8 +15,7 @@ from pydantic import BaseModel
 from deltaq_deploy.launch.cell_connection import connect
 from deltaq_protocol.errors import DeltaqError
 from deltaq_testing.faults.catalogue import CATALOGUE
-from deltaq_testing.faults.live_inject import applies_live
-from deltaq_testing.live import CLIENT, LiveCell, live_cell
+from deltaq_testing.live import CLIENT, LiveCell, applies_live, live_cell
 from deltaq_testing.schedule import TimedFault
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from deltaq_protocol.guarded import Request
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_testing.impairment.relay import TrafficUnit
-from deltaq_testing.impairment.stream import StreamFaults
+from deltaq_testing.impairment.tcp import StreamFaults
 from studies.live_faults.relay_process import RelayProcess
 
 pytestmark = [pytest.mark.service, pytest.mark.long]

@@ -30,7 +30,7 @@ from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Outcome, RobotState, ToolPose, Verdict
 from deltaq_services.hli.shell import Hli
 from deltaq_testing.impairment.relay import TrafficUnit
-from deltaq_testing.impairment.stream import StreamFaults
+from deltaq_testing.impairment.tcp import StreamFaults
 from studies.live_faults.relay_process import RelayProcess
 
 STEP = 1e-4

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from krc_bench import Bench
 
-from deltaq_deploy.rsi.listen import ZeroEcho
-from deltaq_deploy.rsi.statistics import WireStatistics, look_at
+from deltaq_deploy.rsi.listen import WireStatistics, ZeroEcho, look_at
 
 KRC = "192.168.10.20:1025"
 

@@ -17,7 +17,7 @@ from deltaq_protocol.proof import Prover
 from deltaq_protocol.session import open_session, subscribe_newest
 from deltaq_testing.faults.panel import load_rsi_cell
 from deltaq_testing.impairment.relay import TrafficUnit
-from deltaq_testing.impairment.stream import StreamFaults
+from deltaq_testing.impairment.tcp import StreamFaults
 from deltaq_testing.virtual_cell.parts import Link
 from studies.live_faults.moving_cell import RelayPlacement, placed
 from studies.live_faults.relay_process import RelayProcess

@@ -12,7 +12,7 @@ from deltaq_controllers.routines.routine import RoutineError
 from deltaq_controllers.routines.shell import runs_of, unfinished
 from deltaq_protocol.errors import DeltaqError
 from deltaq_testing.faults.catalogue import CATALOGUE
-from deltaq_testing.faults.live_inject import applies_live
+from deltaq_testing.live import applies_live
 from deltaq_testing.schedule import TimedFault
 
 pytestmark = pytest.mark.live

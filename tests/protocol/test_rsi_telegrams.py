@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deltaq_deploy.rsi.statistics import look_at
+from deltaq_deploy.rsi.listen import look_at
 from deltaq_protocol.errors import ProtocolError
 from deltaq_protocol.rsi import (
     AxisMap,

@@ -13,7 +13,7 @@ from deltaq_testing.impairment.relay import (
     relay,
     wire_faults,
 )
-from deltaq_testing.impairment.stream import MAX_WAITING_BYTES, FaultyStream, StreamFaults
+from deltaq_testing.impairment.tcp import MAX_WAITING_BYTES, FaultyStream, StreamFaults
 
 FAULTS = st.builds(
     StreamFaults,

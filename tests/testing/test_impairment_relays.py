@@ -14,7 +14,7 @@ from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_protocol.session import open_session
 from deltaq_testing.impairment.relay import TrafficUnit, relay
-from deltaq_testing.impairment.stream import StreamFaults
+from deltaq_testing.impairment.tcp import StreamFaults
 from studies.live_faults.relay_process import RelayProcess
 
 HERE = "127.0.0.1"

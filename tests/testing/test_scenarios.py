@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from deltaq_deploy.command.app import app
 from deltaq_protocol.errors import DeltaqError
-from deltaq_testing.scenario.file import ScenarioError, dumped, load_scenario, parse_scenario
+from deltaq_testing.scenario.model import ScenarioError, dumped, load_scenario, parse_scenario
 from deltaq_testing.scenario.page import junit_xml
 from deltaq_testing.scenario.run import Runner
 

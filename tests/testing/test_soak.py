@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from deltaq_deploy.command.app import app
 from deltaq_protocol.errors import DeltaqError
 from deltaq_testing.faults.catalogue import CATALOGUE
-from deltaq_testing.faults.live_inject import applies_live
+from deltaq_testing.live import applies_live
 from deltaq_testing.soak import SoakReport, SoakRound
 
 COMMAND = "from deltaq_deploy.command import main; main()"

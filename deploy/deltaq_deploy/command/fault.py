@@ -34,7 +34,7 @@ def run(
     json: JsonOption = False,
 ) -> None:
     """Run scenarios in virtual time: faults for your controller; exit status 1 if an expectation was not met."""
-    from deltaq_testing.scenario.file import load_scenario, write_report
+    from deltaq_testing.scenario.model import load_scenario, write_report
     from deltaq_testing.scenario.page import junit_xml
     from deltaq_testing.scenario.run import Runner
 
@@ -70,7 +70,7 @@ def search(
     json: JsonOption = False,
 ) -> None:
     """Look for faults under which a scenario fails, and shrink them; exit status 1 if there are any."""
-    from deltaq_testing.scenario.file import dumped, load_scenario, write_report
+    from deltaq_testing.scenario.model import dumped, load_scenario, write_report
     from deltaq_testing.scenario.run import Runner
     from deltaq_testing.strategies import shortest_failure
 
@@ -227,7 +227,7 @@ def soak(
     json: JsonOption = False,
 ) -> None:
     """Inject fault after fault into a cell of real processes; Ctrl-C ends the soak and writes the report so far."""
-    from deltaq_testing.scenario.file import must_be_folder, write_report
+    from deltaq_testing.scenario.model import must_be_folder, write_report
     from deltaq_testing.soak import SoakRound, figure_of, run_soak
 
     def tell(one: SoakRound) -> None:

@@ -15,7 +15,7 @@ from deltaq_deploy.launch import BAD, UNREACHABLE
 if TYPE_CHECKING:
     from deltaq_cell.description import CellDescription, RsiDescription
     from deltaq_deploy.krc import KrcFile, KrcPlan, Start
-    from deltaq_deploy.rsi.statistics import Spread, Summary
+    from deltaq_deploy.rsi.listen import Spread, Summary
     from deltaq_protocol.rsi import EthernetConfig
 
 
@@ -134,8 +134,7 @@ def sniff(
     json: JsonOption = False,
 ) -> None:
     """Listen to a KRC without answering; it stops RSI after its permitted number of late replies."""
-    from deltaq_deploy.rsi.listen import listen
-    from deltaq_deploy.rsi.statistics import WireStatistics
+    from deltaq_deploy.rsi.listen import WireStatistics, listen
 
     if cell or robot:
         description, driver, config = _of_cell(cell, robot)
@@ -160,8 +159,7 @@ def echo(
 ) -> None:
     """Answer a KRC with corrections of zero only; a robot that has left its start gets no answer."""
     from deltaq_cell.krc_files import station_of
-    from deltaq_deploy.rsi.listen import ZeroEcho, listen
-    from deltaq_deploy.rsi.statistics import WireStatistics
+    from deltaq_deploy.rsi.listen import WireStatistics, ZeroEcho, listen
     from deltaq_protocol.rsi import SensorCodec
 
     description, driver, config = _of_cell(cell, robot)

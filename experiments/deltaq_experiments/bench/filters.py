@@ -18,7 +18,7 @@ from deltaq import Gate, GateError
 from deltaq.obstacles import numbers
 from deltaq_experiments.bench.filter_scenes import Distances, FilterScene
 from deltaq_protocol.arrays import Array
-from deltaq_testing.scenario.file import ScenarioError
+from deltaq_testing.scenario.model import ScenarioError
 from deltaq_testing.scenario.run import resolved, where
 
 ADVERSARIES = ("bang-bang", "homing", "to and fro")

@@ -30,7 +30,7 @@ from deltaq_testing.faults.catalogue import (
     SetWallClock,
     StepClock,
 )
-from deltaq_testing.faults.live_inject import Injector
+from deltaq_testing.live import Injector
 from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 from deltaq_testing.virtual_cell.parts import Process
 from studies.live_faults.clocks import Clocks, SettableClocks

@@ -31,7 +31,7 @@ from deltaq_testing.faults.catalogue import (
 )
 from deltaq_testing.faults.panel import PanelClient
 from deltaq_testing.impairment.relay import TrafficUnit
-from deltaq_testing.impairment.stream import StreamFaults
+from deltaq_testing.impairment.tcp import StreamFaults
 from deltaq_testing.live import recorded
 from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 from deltaq_testing.virtual_cell.parts import Link, Process

@@ -10,7 +10,7 @@ from deltaq_emulator.faults import LinkFaults
 from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
 from deltaq_testing.impairment.relay import TrafficUnit, relay
-from deltaq_testing.impairment.stream import StreamFaults
+from deltaq_testing.impairment.tcp import StreamFaults
 
 _ANSWER_S = 20.0
 

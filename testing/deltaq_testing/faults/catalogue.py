@@ -13,7 +13,7 @@ from typing import Any
 from deltaq_cell.models import nearest_name
 from deltaq_emulator.faults import LinkFaults
 from deltaq_protocol.errors import DeltaqError
-from deltaq_testing.impairment.stream import StreamFaults
+from deltaq_testing.impairment.tcp import StreamFaults
 from deltaq_testing.virtual_cell.parts import Link, Process
 
 

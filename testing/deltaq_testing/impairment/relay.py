@@ -14,8 +14,7 @@ from deltaq_protocol.endpoint import Endpoint, InvalidEndpointError
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.inbox import ClientInbox
 from deltaq_protocol.session import open_session
-from deltaq_testing.impairment.stream import MAX_WAITING_BYTES, FaultyStream, StreamFaults
-from deltaq_testing.impairment.tcp import TcpRelay
+from deltaq_testing.impairment.tcp import MAX_WAITING_BYTES, FaultyStream, StreamFaults, TcpRelay
 from deltaq_testing.impairment.udp import Pump, UdpRelay
 
 # Faults of the lines in a byte stream: each line is lost, duplicated or overtaken as a whole.

@@ -11,7 +11,7 @@ import numpy as np
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Phase
 from deltaq_testing.report_page import COLOURS, document, inlined, outline, settings, table
-from deltaq_testing.scenario.file import dumped
+from deltaq_testing.scenario.model import dumped
 from deltaq_testing.scenario.run import ScenarioOutcome
 from deltaq_testing.virtual import CellUnderTest
 

@@ -14,8 +14,7 @@ from typing import Any
 from deltaq_protocol.errors import DeltaqError
 from deltaq_testing.faults.panel import load_rsi_cell
 from deltaq_testing.observed import RunFinding
-from deltaq_testing.scenario.file import ScenarioError
-from deltaq_testing.scenario.model import Scenario, Tracking
+from deltaq_testing.scenario.model import Scenario, ScenarioError, Tracking
 from deltaq_testing.virtual import CellUnderTest
 from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 
