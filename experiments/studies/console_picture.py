@@ -2,7 +2,7 @@
 
 Start the cell first (`deltaq up --cell lab`), on a computer that does nothing else. An operator is played, who has `fr`
 follow, moves the hand of `gr` to and fro by the keyboard until the plots are full, asks the advisor, and puts a pose
-where there is no way. It needs Chromium and playwright (the
+where there is no way, and has a routine planned. It needs Chromium and playwright (the
 extra `dev`).
 """
 
@@ -71,17 +71,20 @@ def take_pictures(url: str, folder: Path, chromium: str) -> None:
         _follow(page)
         _drive(page, folder / "console.png")
         _ask_the_advisor(page)
-        _save(page, folder / "console-advisor.png")
+        save(page, folder / "console-advisor.png")
         _put_a_pose(page)
-        _save(page, folder / "console-pose.png")
+        save(page, folder / "console-pose.png")
         in_mode(page, "coupled")
+        plan_a_routine(page)
+        save(page, folder / "console-routine.png")
+        page.get_by_role("button", name="Back").click()
         page.locator("[data-part=look]").click()
         page.locator(".opener").click()
-        _save(page, folder / "console-light.png")
+        save(page, folder / "console-light.png")
         for robot in ("gr", "fr"):
             page.evaluate("robot => deltaq.live.send('lease', {robot, action: 'release'})", robot)
         page.close()
-        _save(opened(browser, url, _PHONE), folder / "console-phone.png")
+        save(opened(browser, url, _PHONE), folder / "console-phone.png")
         browser.close()
 
 
@@ -179,7 +182,15 @@ def _put_a_pose(page: Page) -> None:
     page.locator(".pose h2").click()
 
 
-def _save(page: Page, file: Path) -> None:
+def plan_a_routine(page: Page) -> None:
+    """Have all motions of a routine shown that turns a valve."""
+    page.locator("[data-item=valve_1]").click()
+    page.locator("[data-routine=turn]").click()
+    page.wait_for_function("deltaq.ways.planned")
+    page.locator(".routines .forecast").scroll_into_view_if_needed()
+
+
+def save(page: Page, file: Path) -> None:
     """Save what the page shows once nothing moves any more."""
     is_grey = True
     while is_grey:  # taking it may hold the page up for so long that it shows its data as old

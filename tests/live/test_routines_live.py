@@ -91,7 +91,7 @@ def test_a_routine_under_a_fault_ends_at_rest_and_goes_on(live_cell, monkeypatch
                 with suppress(DeltaqError):  # the planner in this process may leave no time for the answer
                     contacts = cell.status().contacts
         live_cell.suffer(TimedFault(fault, at_s=live_cell.time_s + 0.3, for_s=1.0))
-        live_cell.run(3.0)
+        live_cell.run(4.0)
         end = running.result(timeout=120)
     (run,) = runs_of(name)
     print(f"\n{fault.name}: {end}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -255,15 +255,12 @@ class RoutinePlanner:
             self._free = ExactClearance(cell, job.robot, left_out=contact.pairs)
             self._contact_speed = CONTACT_SHARE * contact.speed
 
-    def plan(
-        self, request: PlanRequest, others: Mapping[str, Array], go_on: Callable[[], bool] = lambda: True
-    ) -> PlannedMotion:
+    def plan(self, request: PlanRequest, others: Mapping[str, Array]) -> PlannedMotion:
         """Plan a motion.
 
         Args:
             request: what is planned.
             others: (n,) setpoint of each other robot [rad or m].
-            go_on: called now and then; False ends the search.
 
         Raises:
             RoutineError: there is no way, or none was found; the text says why.
@@ -278,10 +275,10 @@ class RoutinePlanner:
             target = self._frame.place(self._robot.forward(q)).moved(step.move_tool)
             path = self._line(q, target, request.touching)
         elif step.move_to == "approach":
-            path = self._to_approach(request, go_on)
+            path = self._to_approach(request)
         else:
             end = self._robot.home if step.move_to == "home" else np.array(step.move_to)
-            path = self._around(request, end, go_on)
+            path = self._around(request, end)
         return self._motion(path, step.speed, request.touching)
 
     def view(self, at_equipment: bool, others: Mapping[str, Array]) -> ViewWish:
@@ -291,7 +288,7 @@ class RoutinePlanner:
         self._views.place(others)
         return self._views.wish()
 
-    def _around(self, request: PlanRequest, end: Array, go_on: Callable[[], bool]) -> Array:
+    def _around(self, request: PlanRequest, end: Array) -> Array:
         if np.abs(end - request.q).max() == 0.0:
             return np.stack([end, end])
         exact = self._exact(request.touching)
@@ -304,7 +301,7 @@ class RoutinePlanner:
             )
         ways = PathPlanner(self._robot, HandsMoved(self._robot), exact, self._generator, request.q, ROUNDS)
         try:
-            return ways.to(end, go_on)
+            return ways.to(end)
         except NoPathError as error:
             raise RoutineError(f"{request.plain.text}: {error}") from None
 
@@ -320,12 +317,12 @@ class RoutinePlanner:
                 request = PlanRequest(plain, self._robot.home, touching=False, ahead=ahead)
                 next(self._postures(request, seen_first=False))
 
-    def _to_approach(self, request: PlanRequest, go_on: Callable[[], bool]) -> Array:
+    def _to_approach(self, request: PlanRequest) -> Array:
         for count, end in enumerate(self._postures(request), start=1):
             try:
-                return self._around(request, end, go_on)
+                return self._around(request, end)
             except RoutineError:
-                if count == PLANNED or not go_on():
+                if count == PLANNED:
                     raise
         raise AssertionError  # postures end with an error
 

@@ -39,11 +39,13 @@ from deltaq_controllers.routines.run import (
 )
 from deltaq_protocol.client import Cell
 from deltaq_protocol.driving import MOST_WAY_POINTS, RoutineProgress, Way
-from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
 from deltaq_protocol.leased_robot import LeasedRobot
 from deltaq_protocol.messages import Phase, RobotState
 from deltaq_protocol.reasons import EXPLANATIONS
 
+SILENT_S = 2.0
+"""A routine ends when no state of its robot has come for so long [s]."""
 MOST_LINES = 1000
 """Runs that are kept in a cell's record."""
 _RUN_FIELDS = {"time", "routine", "source", "equipment", "robot", "numbers", "end", "why", "place", "steps"}
@@ -104,17 +106,25 @@ class LiveRoutine:
 
         Raises:
             RefusedError: the lease was lost.
-            ServiceUnreachableError: the HLI is gone.
+            ServiceUnreachableError: the HLI or the Robot Server is gone.
         """
-        answers, before = Answers(self._cell, leased), None
+        answers, before, loop = Answers(self._cell, leased), None, asyncio.get_running_loop()
         try:
-            async for state in leased.states():
-                cycles = await answers.due(state)
-                stood, before = before == state.q_cmd, state.q_cmd
-                await self.answer(leased, answers, state, cycles, stood)
-                watch(self.run)
-                if self.run.end is not None:
-                    return
+            async with asyncio.timeout(SILENT_S) as silence:
+                async for state in leased.states():
+                    silence.reschedule(loop.time() + SILENT_S)
+                    cycles = await answers.due(state)
+                    stood, before = before == state.q_cmd, state.q_cmd
+                    await self.answer(leased, answers, state, cycles, stood)
+                    watch(self.run)
+                    if self.run.end is not None:
+                        return
+        except TimeoutError:
+            why = (
+                f"no state of {self.job.robot} for {SILENT_S:g} s; is its Robot Server up (`deltaq status`)?"
+            )
+            self.run.lose(why)
+            raise ServiceUnreachableError(why) from None
         finally:
             await self.close()
 
