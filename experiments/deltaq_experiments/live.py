@@ -14,7 +14,7 @@ from deltaq_deploy.launch.cell_connection import connect, listen
 from deltaq_deploy.launch.child_process import Exited
 from deltaq_deploy.launch.launcher import Launcher
 from deltaq_deploy.launch.program import LaunchError
-from deltaq_deploy.launch.services import Role, Service, cell_services, demo_controllers, recorder
+from deltaq_deploy.launch.services import cell_services, demo_controllers, recorder
 from deltaq_experiments.options import Options
 from deltaq_experiments.scene import link_cycles
 from deltaq_experiments.trace import Trace
@@ -23,6 +23,7 @@ from deltaq_protocol import topics
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.codec import unpack
 from deltaq_protocol.messages import RobotState
+from deltaq_testing.live import recorded, with_arguments
 from deltaq_testing.oracle import GateCounts, record_cycle_s
 from deltaq_testing.recorded import not_there_yet
 
@@ -66,16 +67,20 @@ def run_live(
     cell, description = scene.cell, scene.cell.description
     with tempfile.TemporaryDirectory() as folder:
         records = {name: Path(folder, f"{name}.csv") for name in cell.robots}
-        services = [_recorded(service, records) for service in cell_services(description, str(options.cell))]
+        services = [recorded(service, records) for service in cell_services(description, str(options.cell))]
         leader, follower = demo_controllers(description)
         view_delay_s = link_cycles(scene, options.latency_s) * scene.cycle_s
-        follower = _with(follower, "--controller", options.controller, "--view-delay-s", f"{view_delay_s}")
-        follower = _with(follower, "--robot", scene.robot_name, "--leader", scene.leader_name)
-        follower = _with(follower, "--duration-s", f"{options.length_s}", *following)
+        follower = with_arguments(
+            follower, "--controller", options.controller, "--view-delay-s", f"{view_delay_s}"
+        )
+        follower = with_arguments(follower, "--robot", scene.robot_name, "--leader", scene.leader_name)
+        follower = with_arguments(follower, "--duration-s", f"{options.length_s}", *following)
         if leading is not None:
             speed, seed = f"{options.leader_speed_m_s}", f"{options.seed}"
-            leader = _with(leader, "--robot", scene.leader_name, "--stick-m-s2", f"{options.stick_m_s2}")
-            services.append(_with(leader, "--speed-m-s", speed, "--seed", seed, *leading))
+            leader = with_arguments(
+                leader, "--robot", scene.leader_name, "--stick-m-s2", f"{options.stick_m_s2}"
+            )
+            services.append(with_arguments(leader, "--speed-m-s", speed, "--seed", seed, *leading))
         if options.record is not None:
             services.append(recorder(str(options.cell), str(not_there_yet(options.record))))
         lines = LastLines()
@@ -101,16 +106,6 @@ def run_live(
     trace = trace_of(states, tuple(cell.robots), setpoints, summary["began_s"], options.length_s)
     trace = replace(trace, krc_cycle_s=krc_cycle_s)
     return RunRecord(trace, GateCounts.of(status.gate), reasons)
-
-
-def _with(service: Service, *arguments: str) -> Service:
-    return replace(service, arguments=(*service.arguments, *arguments))
-
-
-def _recorded(service: Service, records: dict[str, Path]) -> Service:
-    if service.role is not Role.EMULATOR or service.robot is None:
-        return service
-    return _with(service, "--record", str(records[service.robot]))
 
 
 def _setpoints(record: Path, joints: int) -> Array:

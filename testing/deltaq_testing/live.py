@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -31,7 +30,7 @@ from deltaq_testing.faults.panel import PanelClient, PanelError, load_rsi_cell, 
 from deltaq_testing.observed import Observed, RobotHistory
 from deltaq_testing.oracle import record_cycle_s, rows_of
 from deltaq_testing.private_cell import write_private_cell
-from deltaq_testing.schedule import ScheduleError, TimedFault, checked
+from deltaq_testing.schedule import FaultsOfARun, ScheduleError, TimedFault
 from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
 from deltaq_testing.virtual_cell.parts import Process
 
@@ -157,8 +156,7 @@ class LiveCell(Observed):
         self.url, self.tcp_port = description.hli, description.tcp_port
         self._launcher, self._panels, self._records = launcher, panels, records
         self._injector = Injector(launcher, panels[robot], description, robot)
-        self._waiting: tuple[TimedFault, ...] = ()
-        self._standing: list[TimedFault] = []
+        self._faults = FaultsOfARun()
         self._programs: list[subprocess.Popen[bytes]] = []
         self.begin()
 
@@ -220,22 +218,18 @@ class LiveCell(Observed):
                     f"{timed.what.name} cannot be injected into a live cell under test; take virtual_cell, or a fault "
                     "of hli, sim, robot-server or the KRC"
                 )
-        checked(faults, self.time_s)
-        self._waiting = checked((*self._standing, *self._waiting, *faults))[len(self._standing) :]
+        self._faults.add(faults, self.time_s)
 
     def run(self, duration_s: float) -> None:
         """Wait for so long while the scheduled faults are injected; then read the recording."""
         end_s = self.time_s + duration_s
         while (now_s := self.time_s) < end_s:
-            for timed in [one for one in self._standing if one.end_s <= now_s]:
-                self._standing.remove(timed)
-                self._injector.lift(timed.what)
-            while self._waiting and self._waiting[0].at_s <= now_s:
-                timed, *rest = self._waiting
-                self._waiting = tuple(rest)
-                self.fault_rows.append(self._cycle_of(self.robot) - self._first[self.robot]["cycle"])
-                self._inject(timed)
-                self._standing.append(timed)
+            for timed, begins in self._faults.due(now_s):
+                if begins:
+                    self.fault_rows.append(self._cycle_of(self.robot) - self._first[self.robot]["cycle"])
+                    self._inject(timed)
+                else:
+                    self._injector.lift(timed.what)
             time.sleep(_POLL_S)
         self._read()
 
@@ -259,9 +253,8 @@ class LiveCell(Observed):
     def renew(self) -> bool:
         """Make it ready for the next test: faults lifted, robots free and the one under test at home; whether it is."""
         self.end_programs()
-        self._waiting = ()
-        while self._standing:
-            self._injector.lift(self._standing.pop().what)
+        for timed in self._faults.drop():
+            self._injector.lift(timed.what)
         if not self.recover():
             return False
         self._go_home()
@@ -380,7 +373,12 @@ def recorded(service: Service, records: dict[str, Path]) -> Service:
     """The service, an emulated controller with the record that it is to write."""
     if service.role is not Role.EMULATOR or service.robot is None:
         return service
-    return replace(service, arguments=(*service.arguments, "--record", str(records[service.robot])))
+    return with_arguments(service, "--record", str(records[service.robot]))
+
+
+def with_arguments(service: Service, *arguments: str) -> Service:
+    """The service, started with further arguments."""
+    return replace(service, arguments=(*service.arguments, *arguments))
 
 
 class LiveCells:
@@ -400,9 +398,7 @@ class LiveCells:
         """Enter; no cell is started yet."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """End the cell that runs."""
         self._running.close()
 

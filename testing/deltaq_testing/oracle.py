@@ -5,13 +5,11 @@ that can be nearest, without inflating bodies. Limits are checked on the emulate
 setpoints, not on a service's intentions.
 """
 
-from __future__ import annotations
-
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import pinocchio as pin
@@ -23,7 +21,15 @@ from deltaq_emulator.states import KrcState
 from deltaq_protocol.arrays import Array, Indices
 
 
-class LimitCounts(BaseModel, frozen=True):
+class _Counts(BaseModel, frozen=True):
+    @classmethod
+    def sum(cls, counts: Iterable[Self]) -> Self:
+        """Those of several robots or runs together."""
+        dumped = [count.model_dump() for count in counts]
+        return cls(**{name: sum(one[name] for one in dumped) for name in cls.model_fields})
+
+
+class LimitCounts(_Counts):
     """How many joints of how many cycles were beyond a limit."""
 
     position_violations: int = 0
@@ -35,13 +41,8 @@ class LimitCounts(BaseModel, frozen=True):
         """All of them."""
         return self.position_violations + self.velocity_violations + self.acceleration_violations
 
-    @classmethod
-    def sum(cls, counts: Iterable[LimitCounts]) -> LimitCounts:
-        """Those of several robots or runs together."""
-        return cls(**_added(counts))
 
-
-class GateCounts(BaseModel, frozen=True):
+class GateCounts(_Counts):
     """Verdicts by outcome."""
 
     admitted: int = 0
@@ -50,21 +51,9 @@ class GateCounts(BaseModel, frozen=True):
     refused: int = 0
 
     @classmethod
-    def sum(cls, counts: Iterable[GateCounts]) -> GateCounts:
-        """Those of several runs together."""
-        return cls(**_added(counts))
-
-    @classmethod
-    def of(cls, counts: dict[str, int]) -> GateCounts:
+    def of(cls, counts: dict[str, int]) -> Self:
         """From a counter that may hold other counts as well."""
         return cls(**{name: counts.get(name, 0) for name in cls.model_fields})
-
-
-def _added(counts: Iterable[BaseModel]) -> dict[str, int]:
-    together: Counter[str] = Counter()
-    for count in counts:
-        together.update(count.model_dump())
-    return dict(together)
 
 
 # Distances of many pairs of bodies along a motion; only pairs that can be below the bound are measured.

@@ -1,7 +1,7 @@
 """Schedules of faults for a tested controller."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -116,6 +116,37 @@ def clash(faults: Iterable[TimedFault]) -> tuple[TimedFault, TimedFault] | None:
         if other.at_s < one.end_s and one.parts & other.parts:
             return one, other
     return None
+
+
+class FaultsOfARun:
+    """The faults of a run: those that wait for their time, and those that stand."""
+
+    def __init__(self) -> None:
+        self._waiting: tuple[TimedFault, ...] = ()
+        self._standing: list[TimedFault] = []
+
+    def add(self, faults: Sequence[TimedFault], now_s: float) -> None:
+        """Schedule faults; raises as `checked` does."""
+        checked(faults, now_s)
+        checked((*self._standing, *self._waiting, *faults))
+        self._waiting = checked((*self._waiting, *faults))
+
+    def due(self, now_s: float) -> Iterator[tuple[TimedFault, bool]]:
+        """The faults whose end has come, and then those whose begin has; each with whether it begins."""
+        for timed in [one for one in self._standing if one.end_s <= now_s]:
+            self._standing.remove(timed)
+            yield timed, False
+        while self._waiting and self._waiting[0].at_s <= now_s:
+            timed, *rest = self._waiting
+            self._waiting = tuple(rest)
+            yield timed, True
+            self._standing.append(timed)
+
+    def drop(self) -> list[TimedFault]:
+        """Forget all faults; returns those that stand, the newest first."""
+        self._waiting, standing = (), self._standing[::-1]
+        self._standing = []
+        return standing
 
 
 def checked(faults: Sequence[TimedFault], now_s: float = 0.0) -> tuple[TimedFault, ...]:

@@ -16,7 +16,7 @@ from deltaq_testing.faults.panel import PanelError, load_rsi_cell, must_have, pe
 from deltaq_testing.faults.virtual import BACK_S, ErringClient, VirtualInjector
 from deltaq_testing.line_controller import ControllerProcess, LineController
 from deltaq_testing.observed import Observed
-from deltaq_testing.schedule import TimedFault, checked
+from deltaq_testing.schedule import FaultsOfARun, TimedFault
 from deltaq_testing.virtual_cell.cell import VirtualCell
 from deltaq_testing.virtual_cell.clients import Connection, Say
 from deltaq_testing.virtual_cell.loaded_cell import LoadedCell
@@ -64,8 +64,7 @@ class CellUnderTest(Observed):
         self.events: list[tuple[float, str]] = []
         self._stack = VirtualCell(loaded, seed=seed + 100)
         self._running = dict.fromkeys(self.history, 0)
-        self._waiting: tuple[TimedFault, ...] = ()
-        self._standing: list[TimedFault] = []
+        self._faults = FaultsOfARun()
         self._begun: list[TimedFault] = []
         self._injector: VirtualInjector | None = None
         self._connections: dict[str, Connection] = {}
@@ -172,9 +171,7 @@ class CellUnderTest(Observed):
         Raises:
             ScheduleError: one would have had to begin before now, or two change the same part at the same time.
         """
-        checked((*self._standing, *self._waiting, *faults))
-        checked(faults, self.time_s - _ROUNDING_S)
-        self._waiting = checked((*self._waiting, *faults))
+        self._faults.add(faults, self.time_s - _ROUNDING_S)
 
     # --- the run ------------------------------------------------------------------------------------------
 
@@ -221,30 +218,19 @@ class CellUnderTest(Observed):
         self.ready_row = len(self._own.q) - 1
 
     def _inject_due(self, injector: VirtualInjector) -> None:
-        now_s = self.time_s + _ROUNDING_S
-        for timed in [one for one in self._standing if one.end_s <= now_s]:
-            self._standing.remove(timed)
-            self._try(timed, "ends", partial(injector.lift, timed.what))
-        while self._waiting and self._waiting[0].at_s <= now_s:
-            timed, *rest = self._waiting
-            self._waiting = tuple(rest)
-            self.fault_rows.append(len(self._own.q) - 1)
-            self._try(timed, "begins", partial(injector.inject, timed.what))
-            self._standing.append(timed)
-            self._begun.append(timed)
-
-    def _try(self, timed: TimedFault, what: str, act: Callable[[], object]) -> None:
-        """Do it, unless the emulated controller is in no state for it, as a program that has ended is for a stop."""
-        try:
-            act()
-        except PanelError as error:
-            self._tell(f"{timed.what.name} {what} without effect: {error}")
-        else:
-            self._tell(
-                f"{timed.what.name} {what}: {timed.what.what}"
-                if what == "begins"
-                else f"{timed.what.name} {what}"
-            )
+        for timed, begins in self._faults.due(self.time_s + _ROUNDING_S):
+            if begins:
+                self.fault_rows.append(len(self._own.q) - 1)
+                self._begun.append(timed)
+            told = f"{timed.what.name} {'begins' if begins else 'ends'}"
+            try:
+                (injector.inject if begins else injector.lift)(timed.what)
+            except (
+                PanelError
+            ) as error:  # the emulated controller is in no state for it, such as ended for a stop
+                self._tell(f"{told} without effect: {error}")
+            else:
+                self._tell(f"{told}: {timed.what.what}" if begins else told)
 
     def _cycle(self) -> None:
         self._stack.cycle()
