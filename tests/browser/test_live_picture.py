@@ -1,7 +1,5 @@
 """The live picture on the page: its age by the time in the picture itself, and what is said once its service dies."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The console of a cell with two cameras: whose picture is shown, and when another's is."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Iterator

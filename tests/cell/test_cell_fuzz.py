@@ -1,7 +1,5 @@
 """Whatever stands in a cell's file, `deltaq check` says what is wrong with it and never fails itself."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

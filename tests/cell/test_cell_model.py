@@ -1,7 +1,5 @@
 """What is made of a whole cell: its identity, the roles of its robots, and the kinematics that clients are told."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Convex parts of a mesh: together they hold all of it, and they are nearer to it than its hull."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

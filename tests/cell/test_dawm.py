@@ -1,7 +1,5 @@
 """The dual-arm robot: a tree of two chains with two hands, and the cell it stands in."""
 
-from __future__ import annotations
-
 from itertools import combinations
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Which bodies of a robot are never checked against each other: what always touches, and what the cell names."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

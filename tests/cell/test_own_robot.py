@@ -1,7 +1,5 @@
 """A robot with files of its own: found, modelled, told to clients, and modelled by them without those files."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Files that a model names are found where ROS and Python keep them, or the error says what to set."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

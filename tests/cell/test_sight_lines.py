@@ -1,7 +1,5 @@
 """Lines of sight: what they pass is what coal finds on them, whatever was left out before."""
 
-from __future__ import annotations
-
 import coal
 import numpy as np
 import pinocchio as pin

@@ -1,7 +1,5 @@
 """A URDF from anywhere is read as its simulator reads it, or refused with a line that names the fault."""
 
-from __future__ import annotations
-
 import sys
 from collections import Counter
 from pathlib import Path

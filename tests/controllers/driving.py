@@ -1,7 +1,5 @@
 """A robot driven by hand in plain kinematics, and through the whole stack in virtual time."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import cache
 

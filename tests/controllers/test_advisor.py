@@ -1,7 +1,5 @@
 """The configuration advisor: what it proposes holds the hands, is clear and distinct, and can be driven to."""
 
-from __future__ import annotations
-
 from functools import cache
 from itertools import combinations, pairwise
 from typing import Any

@@ -1,7 +1,5 @@
 """Advisor mode: options with the hands still, one chosen and driven to, taken back and gone on with at will."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

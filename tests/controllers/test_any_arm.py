@@ -1,7 +1,5 @@
 """The inverse of arms that nobody wrote one for, against pinocchio's own forward kinematics."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Two hands that hold an object between them, and move it as one."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Ten routines in the lab from random starts, in virtual time: success, time, clearance, and what the camera saw."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from virtual_routine import Record, VirtualRoutine

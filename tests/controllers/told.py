@@ -1,7 +1,5 @@
 """What the HLI says of one robot, as short as it goes."""
 
-from __future__ import annotations
-
 from deltaq_protocol.messages import LeaseStatus, Phase, RobotState, RobotStatus, Status, ToolPose
 
 NO_LEASE = LeaseStatus(holder=None, expires_s=None, epoch=0)

@@ -1,7 +1,5 @@
 """What the console says of a robot whose controller sees badly."""
 
-from __future__ import annotations
-
 import pytest
 
 from deltaq_protocol.messages import Phase, RobotState, Sight, ToolPose

@@ -1,7 +1,5 @@
 """The examples run as they are, each against a running HLI, and do what they say."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Whatever a client sends, over TCP or zenoh, the HLI answers, goes on, and lets nothing through to the gate."""
 
-from __future__ import annotations
-
 import json
 import socket
 from collections.abc import Iterator

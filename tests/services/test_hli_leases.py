@@ -1,7 +1,5 @@
 """Who may write to a robot, and what happens when the one who may is gone."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

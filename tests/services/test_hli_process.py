@@ -1,7 +1,5 @@
 """The HLI as a process of its own."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import itertools

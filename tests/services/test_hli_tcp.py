@@ -1,7 +1,5 @@
 """JSON lines over real TCP, the guarded realm over real zenoh: bad clients first."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import socket

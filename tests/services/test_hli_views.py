@@ -1,7 +1,5 @@
 """What a camera is asked to look at: what the HLI refuses, keeps and tells."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """What the recorder writes, and what of it can be read when it was cut off or damaged."""
 
-from __future__ import annotations
-
 import os
 import signal
 import struct

@@ -1,7 +1,5 @@
 """A recording as the console shows it: even steps, what was not admitted, and nothing of another cell."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

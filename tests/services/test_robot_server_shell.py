@@ -1,7 +1,5 @@
 """The Robot Server's socket: the KRC is answered whoever else speaks, and no error of the socket goes further."""
 
-from __future__ import annotations
-
 import re
 import socket
 import subprocess

@@ -1,7 +1,5 @@
 """Routines in virtual time: the interpreter against the whole stack, its requests carried out at once."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

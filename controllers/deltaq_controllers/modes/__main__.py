@@ -3,8 +3,6 @@
 Prints its progress, and does nothing if all is stored from an earlier run.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 from pathlib import Path

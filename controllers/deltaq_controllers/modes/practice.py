@@ -4,8 +4,6 @@ To compile a function at the first motion, or to load it from numba's cache, tak
 on a busy machine long enough to lose the lease.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 from deltaq_cell.robot import RobotModel

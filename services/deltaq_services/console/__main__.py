@@ -1,7 +1,5 @@
 """`python -m deltaq_services.console --cell lab`."""
 
-from __future__ import annotations
-
 import argparse
 import os
 from pathlib import Path

@@ -8,8 +8,6 @@ The least difference is kept by the second. Seconds in which the connection stal
 so a burst after a stall is compared with the time before it.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass, field
 

@@ -5,8 +5,6 @@ with one `ack` that carries its `id`.
 `deltaq_services.console.client` defines when a command expires.
 """
 
-from __future__ import annotations
-
 import json
 from enum import StrEnum
 from typing import Annotated, Any, Literal

@@ -3,8 +3,6 @@
 No clock, no socket. The caller passes times: `now_s` of one clock, which frames show as the server's.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections import Counter
 from collections.abc import Mapping

@@ -4,8 +4,6 @@ A driver holds the lease and answers the robot's cycle by itself. Were this cons
 it brings the robot to rest, releases it and ends.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import os

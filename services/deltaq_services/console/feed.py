@@ -21,8 +21,6 @@ A frame is the binary message that a browser gets 25 times a second: where the r
 Indices of phases and outcomes are places in `PHASES` and `OUTCOMES`.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections import deque

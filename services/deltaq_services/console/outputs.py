@@ -1,7 +1,5 @@
 """Outputs of the console's core for its shell, and the requests that await answers."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """The newest states, verdicts and near bodies of the cell, and the frame with them for browsers."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from deltaq_cell.description import CellDescription

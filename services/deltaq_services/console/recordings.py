@@ -3,8 +3,6 @@
 Only files that lie in the folder itself are listed and opened: no path, no link, no other ending.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import re

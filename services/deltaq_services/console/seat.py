@@ -4,8 +4,6 @@ The robot's driver holds the lease in that client's name. A handover is complete
 client moves the robot before that.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, auto

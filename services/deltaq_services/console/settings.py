@@ -3,8 +3,6 @@
 Pure: the shell passes the time.
 """
 
-from __future__ import annotations
-
 import hmac
 from collections import Counter
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """The console's process: the clock, the ticks, and the core's outputs."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import logging

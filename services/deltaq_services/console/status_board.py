@@ -1,7 +1,5 @@
 """The status that browsers get when it changes: the cell's, with stop and recording, and the log's lines."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Collection, Iterable, Mapping
 from datetime import UTC, datetime

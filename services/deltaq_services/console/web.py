@@ -4,8 +4,6 @@ Protected content goes only to the console's own pages (a browser names the aski
 console's own host names, so no other web site can pose as it. The `Door` decides on access.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import logging

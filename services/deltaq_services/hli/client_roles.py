@@ -3,8 +3,6 @@
 Pure. Without an operator's token every client is an operator: for one machine whose users trust one another.
 """
 
-from __future__ import annotations
-
 import hmac
 import os
 import secrets

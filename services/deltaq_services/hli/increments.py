@@ -1,7 +1,5 @@
 """Checks of increments from controllers, and their forwarding to the gate."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from deltaq_protocol import topics

@@ -4,8 +4,6 @@ Every grant has a new epoch, greater than any before, and a token that only its 
 with the time of day; if that has been set back, the gate still knows the epochs of an earlier process.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 

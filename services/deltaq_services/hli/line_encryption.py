@@ -3,8 +3,6 @@
 A client may show a certificate of its own: one of the cell's authority proves an operator's or a controller's name.
 """
 
-from __future__ import annotations
-
 import os
 import ssl
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Decoding of client lines, by their `type`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -9,8 +9,6 @@ With encrypted lines the content of a connection is unknown before it is accepte
     any client may stop, so it is obeyed at once, without a TLS handshake.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import select

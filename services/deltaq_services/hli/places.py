@@ -4,8 +4,6 @@ Pure. A connection beyond the limits may still stop the cell: it is kept for a m
 it. If too many of them wait, the oldest is closed, so silent ones lock no other out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Iterator
 from itertools import zip_longest
 from typing import Generic, TypeVar

@@ -4,8 +4,6 @@ At most one increment goes to the gate per robot and cycle. A second one within 
 state, and no further; of several only the newest is kept. With a jitter buffer all wait there.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 

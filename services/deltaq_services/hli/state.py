@@ -1,7 +1,5 @@
 """The state of the HLI: leases, robots, commands and counters, and what happens when a lease ends."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """A zenoh session of the HLI: messages are taken in zenoh's threads, questions in the loop."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import os

@@ -1,7 +1,5 @@
 """`python -m deltaq_services.recorder --cell lab --file run.mcap`."""
 
-from __future__ import annotations
-
 import argparse
 import logging
 import os

@@ -5,8 +5,6 @@ names and are numbered in their order. Enumerations keep their names (`PHASE_HEL
 given"; optional fields have presence; an empty list stands for None where a list may be None.
 """
 
-from __future__ import annotations
-
 import types
 from collections.abc import Iterable
 from dataclasses import dataclass

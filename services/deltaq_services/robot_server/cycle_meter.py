@@ -15,8 +15,6 @@ An IPOC that grows by 1, or as `driver.ipoc_step` says, is a count and says noth
 cycle in ms.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The Robot Server's end of the guarded realm: ring channels in, publishers out."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable
 from typing import Any, TypeVar

@@ -1,7 +1,5 @@
 """The socket between a Robot Server and its KRC: nothing that arrives on it, and no error of it, ends the process."""
 
-from __future__ import annotations
-
 import errno
 import logging
 import select

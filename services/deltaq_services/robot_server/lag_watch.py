@@ -14,8 +14,6 @@ delay (`deltaq_cell.drive_lag`). The result is the dead time of the moving axis 
 the second order, acceleration would pass for lag: drives that swing would seem to lag up to 30 ms more than they do.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ one gives a result. The additions of a trial sum up to zero, so they are undone 
 further than `PROBE_RAD` or `PROBE_M`.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 

@@ -4,8 +4,6 @@ Whatever else fails, the correction that a KRC is sent is a number, no further f
 travel in one cycle, and inside the limits of all corrections.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -7,8 +7,6 @@ session; without it, the first measured position is taken for it. It is fixed fo
 Only the setpoint moves the robot: any other answer repeats the correction that the KRC has already.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter, deque
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """A Robot Server's process: its core and its connections, for a robot on RSI and for one without a KRC."""
 
-from __future__ import annotations
-
 import logging
 import secrets
 import time

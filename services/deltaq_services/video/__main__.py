@@ -1,7 +1,5 @@
 """`python -m deltaq_services.video --cell lab --stream fr`."""
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import os

@@ -1,7 +1,5 @@
 """Decisions on a stream of pictures: when each was taken, which are shown and how large, and the test pattern. Pure."""
 
-from __future__ import annotations
-
 import math
 import zlib
 from datetime import UTC, datetime

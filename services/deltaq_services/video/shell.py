@@ -1,7 +1,5 @@
 """The process of one live picture: a thread that reads the source, and a Unix socket that serves the newest picture."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import logging

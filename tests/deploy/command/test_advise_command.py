@@ -1,7 +1,5 @@
 """`deltaq advise`: from a robot's home, and on a running cell through the gate."""
 
-from __future__ import annotations
-
 import json
 import re
 import signal

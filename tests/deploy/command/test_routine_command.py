@@ -1,7 +1,5 @@
 """`deltaq routine`: what it lists without a running cell, and what it refuses."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

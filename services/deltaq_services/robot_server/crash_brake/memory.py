@@ -1,7 +1,5 @@
 """The memory that a Robot Server shares with the process that brakes its robot should it die."""
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import mmap

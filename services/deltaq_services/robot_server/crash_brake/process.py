@@ -5,8 +5,6 @@ records, loads neither numpy nor zenoh, and sleeps until the mutex is passed on 
 signals that ask it to end, and ends by itself.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import gc

@@ -1,7 +1,5 @@
 """The Robot Server's side of the crash brake: starts the process that brakes after its death, and writes records."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import mmap
