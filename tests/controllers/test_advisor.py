@@ -328,6 +328,7 @@ def test_a_pair_that_keeps_its_distance_is_reported_as_measured(robot: str, room
     assert 10 < sum(keeps) < 90
     assert not exact.keeps(q, room_m)
     assert exact.keeps(q[keeps], room_m)
+    assert exact.tightest(q[:9]).room_m == min(exact.measure(one).room_m for one in q[:9])
 
 
 def test_a_tree_is_cut_at_a_blocked_edge() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.interface import ControllerError, HeldBack, RobotView, View
-from deltaq_controllers.surroundings.setpoints import Foreseen, SetpointTracker
+from deltaq_controllers.surroundings.setpoints import STALE_S, Foreseen, SetpointTracker
 from deltaq_emulator.drives import Servo
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Sight
@@ -155,6 +155,33 @@ def test_a_frozen_view_becomes_stale_then_lost_and_then_fresh_again(lab: CellMod
     assert {sights[cycle] for cycle in range(134, 300)} == {Sight.LOST}
     assert {sights[cycle] for cycle in range(300, 400)} == {Sight.FRESH}
     assert other.velocity == pytest.approx(np.full(9, 0.1))
+
+
+def test_a_stale_view_is_predicted_to_stay_at_its_last_predicted_setpoint(lab: CellModel) -> None:
+    other = foreseen(lab)
+    expected = {}
+    for cycle in range(80):
+        own = RobotView(cycle, cycle * CYCLE_S, np.zeros(6), np.zeros(6))
+        known = min(cycle, 50)
+        other.update(own, moving(known, known * CYCLE_S))
+        expected[cycle] = other.ahead()[0] / (0.1 * CYCLE_S)
+        is_stale = cycle > 58
+        assert other.sight is (Sight.STALE if is_stale else Sight.FRESH)
+        if cycle > 0:
+            assert other.velocity == pytest.approx(np.full(9, 0.0 if is_stale else 0.1))
+    assert expected[58] == pytest.approx(59)
+    stays = (
+        50 + STALE_S / CYCLE_S + 1
+    )  # the next increment takes effect one cycle later; the usual delay rises slowly
+    assert all(stays <= expected[cycle] < stays + 0.4 for cycle in range(59, 80))
+
+
+def test_a_view_that_is_always_late_is_never_taken_for_usual(lab: CellModel) -> None:
+    other = foreseen(lab)
+    for cycle in range(10_000):
+        own = RobotView(cycle, cycle * CYCLE_S + 0.8, np.zeros(6), np.zeros(6))
+        other.update(own, moving(cycle, cycle * CYCLE_S))
+    assert other.sight is Sight.STALE
 
 
 def test_the_others_are_delayed_by_the_given_views_and_the_own_robot_is_not() -> None:

@@ -128,6 +128,13 @@ def test_the_brake_continues_from_its_step() -> None:
     assert judged(at(1, 1), begun) is not None
 
 
+def test_an_admission_that_was_not_taken_does_not_change_the_course() -> None:
+    begun = at(1).model_copy(update={"plan": MOVING.model_copy(update={"step": 0})})
+    missed = admitted(sequence=3).model_copy(update={"cycle": 101, "dq": tuple(2 * dq for dq in DQ)})
+    assert judged(at(1, 2 / 3), begun, in_flight=(missed,)) is None
+    assert judged(at(1, 2), begun, in_flight=(missed,)) == "a setpoint of joint 1 that no admission leads to"
+
+
 def test_a_reset_adopts_the_setpoint_of_the_krc() -> None:
     held = server_state(phase=Phase.HELD, plan=AT_REST, resets=3)
     elsewhere = {"cycle": 101, "plan": AT_REST, "sequence": 0, "q_cmd": (0.7,) * 6}
