@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -82,6 +82,11 @@ class CellModel:
         """Put a cell together from its description and the models of its robots."""
         return cls(description, robots, tuple(structure_geometry(description)), yaml)
 
+    def with_tools(self, tools: Mapping[str, str | None]) -> CellModel:
+        """The cell with the tools that are coupled now, by robot; see `RobotModel.with_tool`."""
+        robots = {name: robot.with_tool(tools.get(name)) for name, robot in self.robots.items()}
+        return self if robots == self.robots else replace(self, robots=robots)
+
     @cached_property
     def identity(self) -> CellIdentity:
         """Its name and hash, by which two processes see whether they have read one cell."""
@@ -108,6 +113,7 @@ class CellModel:
             hulls={name: robot.hulls for name, robot in self.robots.items()},
             kinematics={name: told_kinematics(robot) for name, robot in self.robots.items()},
             identity=str(self.identity),
+            coupled={name: None for name, robot in self.robots.items() if robot.tool_bodies},
         )
         length = max(len(pack(message)), len(to_line(message)))
         if length > MOST_TOLD_BYTES:
@@ -140,8 +146,13 @@ def robot_summary(description: RobotDescription, cycle_s: float) -> messages.Rob
 
 
 def told_kinematics(robot: RobotModel) -> RobotKinematics:
-    """Where each joint and each carried frame (`tool`, `camera`, hands) is placed, in joint order."""
-    names = (*robot.hands, "tool", *(("camera",) if robot.description.camera is not None else ()))
+    """Where each joint and each carried frame (`tool`, `camera`, hands, exchangeable tools) is, in joint order."""
+    names = (
+        *robot.hands,
+        "tool",
+        *robot.tool_bodies,
+        *(("camera",) if robot.description.camera is not None else ()),
+    )
     frames = {name: robot.model.frames[robot.frame_of(name)] for name in names}
     return RobotKinematics(
         joints=tuple(_joint(robot, index) for index in range(robot.n)),

@@ -241,7 +241,7 @@ def _remedy(robot: RobotModel, pair: Pair, stop_m: float) -> str:
 def _lever(robot: RobotModel, joint: int) -> float:
     """Largest distance of a hand from the axis of a joint that carries it [m], joints counted from 1."""
     levers = [0.0]
-    for hand in robot.hands:
+    for hand in (*robot.hands, *robot.tool_bodies):
         frame = robot.model.frames[robot.frame_of(hand)]
         chain = [other for other in robot.model.supports[frame.parentJoint] if other > joint]
         if joint in robot.model.supports[frame.parentJoint]:

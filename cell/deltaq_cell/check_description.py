@@ -135,6 +135,8 @@ class DescriptionCheck:
                 (("bodies", index), body, cell.structure) for index, body in enumerate(item.bodies)
             ]
             named += [(("robot",), item.robot, cell.robots), (("contact",), item.contact, cell.contacts)]
+            tools = [tool for robot in cell.robots.values() for tool in robot.tools]
+            named.append((("tool",), item.tool, tools))
             for field, given, known in named:
                 if given is not None and given not in known:
                     allowed, near = ", ".join(known) or "none", nearest_name(given, known)

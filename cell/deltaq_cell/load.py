@@ -21,7 +21,7 @@ __all__ = ["find_cell", "load_cell", "load_located", "load_with_text", "parse_ce
 EXTENDS = "extends"
 """Key at the top of a cell file: another cell (by path beside it, or by name) that this one changes."""
 
-REMOVABLE = ("robots", "structure", "contacts", "equipment")
+REMOVABLE = ("robots", "structure", "contacts", "equipment", "bodies", "tools")
 """Sections in which a cell that extends another removes an entry by setting it to null."""
 
 

@@ -172,6 +172,15 @@ class ProximityEngine:
                 if frozenset((first.name, second.name)) in named:
                     (group.leave_out if left_out else group.take_in)(index)
 
+    def leave_out_bodies(self, bodies: frozenset[str], left_out: bool = True) -> None:
+        """Leave every pair of some bodies out, or measure them again."""
+        if not bodies:
+            return
+        for group in self._numbers:
+            for index, pair in enumerate(group.pairs):
+                if not bodies.isdisjoint((pair[0].name, pair[1].name)):
+                    (group.leave_out if left_out else group.take_in)(index)
+
     def _move(self, robot: str, q: Array, half: Array) -> float:
         bodies = self._bodies[robot]
         self._q[bodies.slice_q] = q

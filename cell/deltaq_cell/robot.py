@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from functools import cached_property
 
@@ -49,6 +50,7 @@ class RobotModel:
             Meshes are taken for their convex hulls.
         hulls: corners of those hulls, by the body's name without the robot's.
         hands: names of the frames that the robot works with: its hands', or `tool` alone.
+        tool_bodies: names of the bodies of each exchangeable tool. The model has all of them; see `with_tool`.
         T_world_base: (4, 4) pose of the robot's root link.
 
     Raises:
@@ -90,6 +92,12 @@ class RobotModel:
             )
             raise RobotModelError(text, ("model",))
         self.hulls: dict[str, Corners] = hulls_of(self.geometry, name)
+        self.tool_bodies = {
+            tool: frozenset(f"{name}/{tool}_{body}" for body in described.bodies)
+            for tool, described in description.tools.items()
+        }
+        self._absent: frozenset[str] = frozenset()
+        self._every, self._with_tool = self, dict[tuple[str, str], RobotModel]()
         bodies = list(self.geometry.geometryObjects)
         check_rotations(self.model, bodies, (self.home, self.lower, self.upper), source.source)
         check_sizes(bodies, reach(self.model, self.lower, self.upper, self._T_world_base), source.source)
@@ -134,6 +142,36 @@ class RobotModel:
         """(n,) True for revolute joints, False for prismatic ones."""
         return np.array([unit == "rad" for unit in self.description.units])
 
+    def with_tool(self, tool: str | None, frame: str | None = None) -> RobotModel:
+        """The robot with one of its exchangeable tools: its bodies, mass, and `tool` frame; made once.
+
+        Args:
+            tool: the name of the tool; empty: with none of them; None, since it is not known: the model of them all.
+            frame: the tool whose frame `tool` is, empty for the changer's own; None: that of the tool.
+        """
+        every = self._every
+        if tool is None or not self.tool_bodies:
+            return every
+        key = tool, tool if frame is None else frame
+        if key not in self._with_tool:
+            other = copy.copy(every)
+            other.__dict__.pop("visual", None)
+            other._absent = frozenset().union(
+                *(bodies for each, bodies in self.tool_bodies.items() if each != tool)
+            )
+            other.model, other._carried = every.model.copy(), every._carried.with_tool(key[1])
+            if tool and (mass_kg := self.description.tools[tool].mass_kg):
+                held = other.model.frames[other.frame_of(tool)]
+                point = pin.Inertia(mass_kg, np.zeros(3), np.zeros((3, 3)))
+                other.model.appendBodyToJoint(held.parentJoint, point, held.placement)
+            other._data = other.model.createData()
+            other.geometry = pin.GeometryModel()
+            for body in every.geometry.geometryObjects:
+                if body.name not in other._absent:
+                    other.geometry.addGeometryObject(body)
+            self._with_tool[key] = other
+        return self._with_tool[key]
+
     def forward(self, q: ArrayLike, hand: PointName = "tool") -> Array:
         """(4, 4) `T_world_tool` of the configuration `q` (n,), of the first hand or of a named one."""
         return self._frame_pose(q, self.frame_of(hand))
@@ -146,9 +184,9 @@ class RobotModel:
         """
         return self._frame_pose(q, self.frame_of("camera"))
 
-    def tool_pose(self, q: ArrayLike) -> ToolPose:
-        """The tool's pose as messages carry it: position [m] and unit quaternion, w not negative."""
-        px, py, pz, x, y, z, w = pin.SE3ToXYZQUAT(self._frame_placement(q, self.frame_of("tool"))).tolist()
+    def tool_pose(self, q: ArrayLike, point: PointName = "tool") -> ToolPose:
+        """The pose of a tool as messages carry it: position [m] and unit quaternion, w not negative."""
+        px, py, pz, x, y, z, w = pin.SE3ToXYZQUAT(self._frame_placement(q, self.frame_of(point))).tolist()
         sign = -1.0 if w < 0 else 1.0
         return ToolPose(position=(px, py, pz), quaternion_wxyz=(sign * w, sign * x, sign * y, sign * z))
 
@@ -204,6 +242,8 @@ class RobotModel:
         except MissingMeshError:
             return self.geometry
         for body in self._carried.bolted_bodies():
+            if body.name in self._absent:
+                continue
             visual.addGeometryObject(body)
         return visual
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -154,6 +155,7 @@ class CarriedFrames:
 
     Attributes:
         hands: names of the frames that the robot works with: its hands', or `tool` alone.
+        flange: index of the frame that carries the tool.
 
     Raises:
         RobotModelError: the description names a link that the model does not have.
@@ -165,7 +167,7 @@ class CarriedFrames:
         self._name = name
         self._model = model
         self._source = source
-        self._flange = self._flange_frame()
+        self.flange = self._flange_frame()
         self._frames = self._added()
 
     def of(self, point: PointName) -> int:
@@ -185,13 +187,20 @@ class CarriedFrames:
             suggestion=nearest_name(point, self._frames),
         )
 
+    def with_tool(self, tool: str) -> CarriedFrames:
+        """The same frames, `tool` being that of an exchangeable tool, or of the bare changer if it is empty."""
+        other = copy.copy(self)
+        other._frames = {**self._frames, "tool": self._frames[tool or "tool"]}
+        return other
+
     def bolted_bodies(self) -> list[pin.GeometryObject]:
-        """Attachments, and the bodies of tool or hands."""
+        """Attachments, and the bodies of tool, exchangeable tools or hands."""
         bolted = []
         for name, attachment in self._description.attachments.items():
             link = self._model.frames[self._link_frame(attachment.link, "attachments", name)]
             bolted.append(body_geometry(f"{self._name}/{name}", attachment, link.parentJoint, link.placement))
-        carried = [("tool", self._flange, self._description.tool)]
+        carried = [("tool", self.flange, self._description.tool)]
+        carried += [(name, self.flange, tool) for name, tool in self._description.tools.items()]
         for name, hand in self._description.hands.items():
             carried.append((name, self._link_frame(hand.link, "hands", name), hand))
         for prefix, frame, tool in carried:
@@ -207,9 +216,11 @@ class CarriedFrames:
         for name, hand in description.hands.items():
             frames[name] = self._add_frame(name, hand.frame, self._link_frame(hand.link, "hands", name))
         first = description.hands[self.hands[0]].frame if description.hands else description.tool.frame
-        frames["tool"] = self._add_frame("tool", first, self._flange)
+        frames["tool"] = self._add_frame("tool", first, self.flange)
+        for name, tool in description.tools.items():
+            frames[name] = self._add_frame(name, tool.frame, self.flange)
         if description.camera is not None:
-            frames["camera"] = self._add_frame("camera", description.camera.pose, self._flange)
+            frames["camera"] = self._add_frame("camera", description.camera.pose, self.flange)
         return frames
 
     def _flange_frame(self) -> int:

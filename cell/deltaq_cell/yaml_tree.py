@@ -89,7 +89,7 @@ def merge(base: YamlNode, over: YamlNode, removable: Collection[str] = ()) -> Ya
     Args:
         base: the tree that is changed.
         over: the changes.
-        removable: keys of `base` below which null removes the entry of that name.
+        removable: keys at any depth below which null removes the entry of that name.
 
     Raises:
         CellError: there is no entry of the name that null should remove.
@@ -100,7 +100,7 @@ def merge(base: YamlNode, over: YamlNode, removable: Collection[str] = ()) -> Ya
     for key, child in over.value.items():
         if key in removable and isinstance(child.value, dict):
             merged[key], child = _without(key, merged.get(key), child)
-        merged[key] = merge(merged[key], child) if key in merged else child
+        merged[key] = merge(merged[key], child, removable) if key in merged else child
     return YamlNode(merged, over.file, over.line)
 
 

@@ -29,6 +29,8 @@ from deltaq_protocol.arrays import Array
 from deltaq_protocol.rsi import AxisMap, EthernetConfig, KrcCodec, KrcReport
 from deltaq_protocol.rsi.krc_codec import pose_from_matrix
 
+TOOL_CHANGE_S = 0.3
+"""Time that an emulated tool changer takes to lock or to open."""
 START_CYCLES = 10
 """How long a program needs from its start to RSI_ON, at least."""
 IPOC_RANGE = 2**32
@@ -115,6 +117,7 @@ class Krc:
         self._ipoc = (self.settings.ipoc_start - self._ipoc_step) % IPOC_RANGE
         self._starting: int | None = None
         self._frozen = 0
+        self._opens, self._change_in = False, -1
         self.set_drives(True)
         self._begin_session()
         self._sample = self._make_sample()
@@ -179,6 +182,7 @@ class Krc:
         if reply is not None and reply.text:
             self.text = reply.text
         self._corrections.take(reply)
+        self._change_tool()
         self._fail(self._budget.exceeded)
         if self._state is not KrcState.RSI_RUNNING:
             return
@@ -192,6 +196,18 @@ class Krc:
             self._drives.send_to(setpoint)
         else:
             self._fail(message)
+
+    def _change_tool(self) -> None:
+        """Let the input of a tool changer follow its output; what an operator sets in between stays."""
+        changer = self.robot.tool_changer
+        if changer is None:
+            return
+        if self._corrections.outputs[changer.release] is not self._opens:
+            self._opens, self._change_in = not self._opens, round(TOOL_CHANGE_S / self.cycle_s)
+        elif self._change_in > 0:
+            self._change_in -= 1
+        if self._change_in == 0:
+            self.inputs[changer.locked], self._change_in = not self._opens, -1
 
     def _telegram(self) -> bytes:
         first = not self._judge.waiting

@@ -29,6 +29,7 @@ class AuditKind(StrEnum):
     RESET = "reset"
     OUTPUTS = "outputs"
     CONTACT = "contact"
+    TOOL = "tool"
     DRY_RUN = "dry_run"
     VIEW = "view"
     NOTE = "note"

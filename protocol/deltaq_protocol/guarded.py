@@ -13,6 +13,7 @@ from deltaq_protocol.messages import (
     NearestPair,
     Phase,
     Real,
+    ToolName,
     Verdict,
 )
 from deltaq_protocol.reasons import ReasonCode
@@ -41,7 +42,8 @@ class ServerState(Message):
     admission that the robot follows in gate epoch `epoch` (0 and 0: none yet). `cell` is the identity of the cell that
     the Robot Server has read; the gate holds a robot whose server has read another cell. `lag_s` is the measured lag of
     each axis, from a setpoint's sending until all but a twentieth of a step has been measured, and null where it is not
-    known; empty before it is measured. All other arrays have the robot's n joints.
+    known; empty before it is measured. `tool` repeats that of the newest supervision, for a gate that is started again.
+    All other arrays have the robot's n joints.
     """
 
     robot: Name
@@ -64,6 +66,7 @@ class ServerState(Message):
     counters: dict[str, Count] = {}
     cell: str = ""
     lag_s: tuple[Real | None, ...] = ()
+    tool: ToolName | None = None
 
     @model_validator(mode="after")
     def _has_n_joints_everywhere(self) -> Self:
@@ -118,7 +121,8 @@ class Supervision(Message):
     The gate makes one in each cycle. While it admits increments and its orders do not change, it sends every fourth.
     Orders are levels, not edges, so that a lost message costs a few cycles. `stop` is repeated until the state shows
     `held`. `resets` is the count of resets so far, obeyed if it is greater than the state's. A Robot Server that
-    has read another `cell` holds its robot.
+    has read another `cell` holds its robot. `tool` is that which the gate counts on at the robot's tool changer: empty
+    for none, null if it is not known, or if the robot has no changer.
     """
 
     robot: Name
@@ -128,12 +132,14 @@ class Supervision(Message):
     resets: Count = 0
     outputs: dict[str, bool] = {}
     cell: str = ""
+    tool: ToolName | None = None
 
 
 class Command(Message):
     """HLI to SIM, answered by a `CommandReply`.
 
-    Stop robots or reset one, set digital outputs, judge an increment `dq` without moving, or allow a contact.
+    Stop robots or reset one, set digital outputs, judge an increment `dq` without moving, allow a contact, or couple a
+    `tool`, empty to release the present one.
 
     A stop is always obeyed. Any other command is taken once, in order, and only while it is fresh: by the gate of
     `epoch` only, if `id` is greater than that of every command before, and if `cycles`, the newest that the HLI had
@@ -141,7 +147,7 @@ class Command(Message):
     """
 
     id: Count
-    kind: Literal["stop", "reset", "io", "dry_run", "contact"]
+    kind: Literal["stop", "reset", "io", "dry_run", "contact", "tool"]
     epoch: Count = 0
     cycles: dict[Name, Count] = {}
     robot: Name | None = None
@@ -150,6 +156,7 @@ class Command(Message):
     dq: Joints | None = None
     contact: Name | None = None
     allowed: bool = False
+    tool: ToolName = ""
 
 
 class CommandReply(Message):
@@ -231,6 +238,16 @@ class OrdersMemory(Message):
     awaited_stops: tuple[Count, ...] = ()
 
 
+class CouplingMemory(Message):
+    """Snapshot of what the gate knows of the tool at a changer; see `deltaq_services.sim.gated_robot.Coupling`."""
+
+    tool: ToolName | None = None
+    wanted: ToolName | None = None
+    present: tuple[Name, ...] = ()
+    waited: Count = 0
+    heard: bool = False
+
+
 class RobotMemory(Message):
     """Snapshot of one robot in the gate: motion, orders, and the sequence of its requests.
 
@@ -246,6 +263,7 @@ class RobotMemory(Message):
     lease_epoch: Count
     seq: int
     dry_run_cycle: int = -1
+    coupling: CouplingMemory | None = None
 
 
 class KeptDistance(Message):

@@ -52,6 +52,7 @@ class ReasonCode(StrEnum):
     RSI_MODE = "rsi_mode"
     CYCLE_MISMATCH = "cycle_mismatch"
     DRIVE_LAG = "drive_lag"
+    TOOL_MISMATCH = "tool_mismatch"
     IMPOSSIBLE_STATE = "impossible_state"
     INTERNAL_ERROR = "internal_error"
     # why a reset was refused
@@ -100,6 +101,7 @@ EXPLANATIONS: dict[ReasonCode, str] = {
     ReasonCode.RSI_MODE: "the probe did not confirm that the KRC takes corrections as after RSI_ON(#ABSOLUTE)",
     ReasonCode.CYCLE_MISMATCH: "the robot's controller does not run at the cell's cycle",
     ReasonCode.DRIVE_LAG: "the drives were measured to lag more than the cell's gate.servo_lag_s",
+    ReasonCode.TOOL_MISMATCH: "the tool changer's input does not confirm the tool that was requested",
     ReasonCode.IMPOSSIBLE_STATE: "a Robot Server reported a state that the gate cannot have caused",
     ReasonCode.INTERNAL_ERROR: "a service failed on a message, which it refused; its log has the traceback",
     ReasonCode.CAUSE_STANDS: "the cause of the hold persists",

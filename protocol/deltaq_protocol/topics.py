@@ -96,6 +96,11 @@ CONTACT = Topic(
     publishers=_CLIENT, readers=_HLI, reply=messages.Done, recorded=False,
     rights=_OPERATOR,
 )  # fmt: skip
+TOOL = Topic(
+    "tool", Realm.OPEN, Kind.QUERY, _OPEN + "{robot}/tool", messages.ToolRequest,
+    publishers=_CLIENT, readers=_HLI, reply=messages.Done, recorded=False,
+    rights=(Right(of_holder=True),),
+)  # fmt: skip
 DESCRIPTION = Topic(
     "description", Realm.OPEN, Kind.QUERY, _OPEN + "description", messages.DescribeRequest,
     publishers=_CLIENT, readers=_HLI, reply=messages.Description, priority=Priority.ORDINARY, recorded=False,
@@ -161,8 +166,8 @@ GATE_MEMORY = Topic(
 )  # fmt: skip
 
 TOPICS: tuple[Topic, ...] = (
-    STATE, INCREMENT, VERDICT, LEASE, IO, PROXIMITY, STOP, RESET, DRY_RUN, VIEW, CHALLENGE, CONTACT, DESCRIPTION,
-    STATUS,
+    STATE, INCREMENT, VERDICT, LEASE, IO, PROXIMITY, STOP, RESET, DRY_RUN, VIEW, CHALLENGE, CONTACT, TOOL,
+    DESCRIPTION, STATUS,
     SERVER_STATE, REQUEST, ADMISSION, SUPERVISION, GATE_VERDICT, COMMAND, COMMAND_REPLY, HEALTH,
     AUDIT_ENTRY, AUDIT, GATE_LOG, GATE_MEMORY,
 )  # fmt: skip

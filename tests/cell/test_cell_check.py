@@ -21,7 +21,7 @@ def checked(folder: Path, *edits: tuple[str, str]) -> tuple[Path, list[str]]:
     return path, text.splitlines()
 
 
-@pytest.mark.parametrize("name", ["dawm", "lab", "lab-4ms", "lab-aside", "lab-open"])
+@pytest.mark.parametrize("name", ["dawm", "lab", "lab-4ms", "lab-aside", "lab-open", "lab-tools"])
 def test_the_shipped_cells_are_sound(name: str) -> None:
     report = check_cell(name)
     assert report.problems == ()

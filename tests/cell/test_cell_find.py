@@ -42,7 +42,7 @@ def test_the_shipped_cells_are_registered() -> None:
 @pytest.mark.parametrize(
     ("name", "message", "suggestion"),
     [
-        ("labb", "no cell of that name; there are dawm, lab, lab-4ms, lab-aside, lab-open", "lab"),
+        ("labb", "no cell of that name; there are dawm, lab, lab-4ms, lab-aside, lab-open, lab-tools", "lab"),
         ("zzzzzz", "no cell of that name", None),
         ("", "no cell of that name", None),
         ("{folder}/mien.yaml", "no such file", "mine.yaml"),

@@ -6,8 +6,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from data_sheet import describe
+from pydantic import ValidationError
 
-from deltaq_cell.description import Attachment, Body, BoxShape, Camera, Pose, Tool
+from deltaq_cell.cell_model import CellModel
+from deltaq_cell.description import Attachment, Body, BoxShape, Camera, Pose, RobotDescription, Tool
 from deltaq_cell.models import RobotModelError
 from deltaq_cell.robot import RobotModel
 
@@ -203,3 +205,42 @@ def test_a_description_that_does_not_fit_is_refused(
 ) -> None:
     with pytest.raises(RobotModelError, match=message):
         RobotModel(describe(**({"model": "kr16"} | changes)), "fr", urdf=urdf)
+
+
+def test_a_robot_with_one_of_its_tools_has_its_bodies_frame_and_mass() -> None:
+    every = CellModel.load("lab-tools").robots["gr"]
+    key, bare = every.with_tool("valve_key"), every.with_tool("")
+    assert (every.with_tool("valve_key"), bare.with_tool("valve_key"), key.with_tool(None)) == (
+        key,
+        key,
+        every,
+    )
+    q = every.home
+    bodies = {name: {body.name for body in robot.geometry.geometryObjects} for name, robot in
+              {"every": every, "key": key, "bare": bare}.items()}  # fmt: skip
+    assert bodies["every"] - bodies["bare"] == frozenset().union(*every.tool_bodies.values())
+    assert bodies["key"] - bodies["bare"] == every.tool_bodies["valve_key"]
+    assert "gr/tool_tool_changer" in bodies["bare"]
+    np.testing.assert_array_equal(key.forward(q), every.forward(q, "valve_key"))
+    np.testing.assert_array_equal(bare.forward(q), every.forward(q))
+    np.testing.assert_array_equal(every.with_tool("valve_key", frame="").forward(q), every.forward(q))
+    masses = [sum(inertia.mass for inertia in robot.model.inertias) for robot in (bare, key)]
+    assert masses[1] - masses[0] == pytest.approx(every.description.tools["valve_key"].mass_kg)
+    named = {body.name for body in key.visual.geometryObjects if body.name.startswith("gr/")}
+    assert not named & (bodies["every"] - bodies["key"])
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"tool_changer": None}, "tools and tool_changer are given together; tool_changer is missing"),
+        ({"tools": {}}, "tools and tool_changer are given together; tools is missing"),
+        ({"tool_changer": {"release": "opens", "locked": "tool_locked"}}, "tool_changer.release is 'opens'"),
+        ({"tools": {"camera": {}}}, "a tool cannot be named camera"),
+        ({"driver": {"kind": "kinematic"}}, "tool_changer: for a robot on RSI"),
+    ],
+)
+def test_a_tool_changer_that_cannot_be_is_an_error(change: dict[str, object], said: str) -> None:
+    told = CellModel.load("lab-tools").description.robots["gr"].model_dump() | change
+    with pytest.raises(ValidationError, match=re.escape(said)):
+        RobotDescription.model_validate(told)

@@ -31,6 +31,7 @@ class GuardedPeer:
         entries: of the audit log, as they came.
         judges: answers requests with verdicts.
         refuses: reason for which commands are refused.
+        tools: that are coupled, by robot.
     """
 
     def __init__(self, cell: CellDescription) -> None:
@@ -47,6 +48,7 @@ class GuardedPeer:
         self.dq = {name: (0.0,) * len(robot.joints) for name, robot in cell.robots.items()}
         self.phases = dict.fromkeys(cell.robots, Phase.READY)
         self.reasons: dict[str, ReasonCode | None] = dict.fromkeys(cell.robots)
+        self.tools: dict[str, str] = {}
         self._due: dict[tuple[str, int], tuple[float, ...]] = {}
         self._last_due = dict.fromkeys(cell.robots, 0)
         self._alive: dict[str, asyncio.Event] = {name: asyncio.Event() for name in cell.robots}
@@ -95,6 +97,7 @@ class GuardedPeer:
     def publish_state(self, robot: str = "fr", **changes: Any) -> None:
         """Publish one state."""
         fields: dict[str, Any] = {"q_cmd": self.q_cmd[robot], "reason": self.reasons[robot]}
+        fields["tool"] = self.tools.get(robot)
         if self.cell.gate.lookahead_cycles > 1:
             dq = self.dq[robot]
             fields |= {"dq": dq, "plan": Plan(dq=dq, brake_cycles=1, step=0 if any(dq) else 1)}
@@ -195,6 +198,8 @@ class GuardedPeer:
         if self.obeys:
             reply = CommandReply(id=command.id, accepted=self.refuses is None, code=self.refuses)
             self.publish_from_sim(topics.COMMAND_REPLY.key(self.cell.cell), reply)
+            if command.kind == "tool" and command.robot is not None and reply.accepted:
+                self.tools[command.robot] = command.tool
 
 
 @asynccontextmanager

@@ -72,10 +72,11 @@ def told(cell: CellDescription) -> Description:
         yaml="cell: small\n",
         urdf=dict.fromkeys(cell.robots, "<robot/>"),
         identity=str(content_identity(cell)),
+        coupled={name: None for name, robot in cell.robots.items() if robot.tools},
     )
 
 
-def tool_pose(robot: str, q: tuple[float, ...]) -> ToolPose:
+def tool_pose(robot: str, q: tuple[float, ...], tool: str = "tool") -> ToolPose:
     """No kinematics: the first joint is the height of the tool."""
     return ToolPose(position=(0.0, 0.0, q[0]), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
 

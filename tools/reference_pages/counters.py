@@ -70,6 +70,7 @@ _MEANINGS: dict[str, dict[str, str]] = {
         "resets": "resets that were requested",
         "dry_runs": "dry runs that were requested",
         "views_asked": "requests for another view of a robot's camera",
+        "tools_asked": "requests to couple or release a tool",
         "contacts_switched": "requests to allow or forbid a contact",
         "commands_unanswered": "commands that the gate did not answer in time",
         "commands_too_many": "commands refused because clients sent too many in a second",

@@ -16,6 +16,7 @@ from deltaq_cell.description.bodies import (
     CylinderShape,
     DescriptionModel,
     EndpointText,
+    ExchangeableTool,
     GuardedEndpointText,
     Hand,
     JointName,
@@ -25,6 +26,7 @@ from deltaq_cell.description.bodies import (
     Shape,
     SphereShape,
     Tool,
+    ToolChanger,
 )
 from deltaq_cell.description.cell import MOST_ROBOTS, CellDescription, ContactDescription, GateDescription
 from deltaq_cell.description.equipment import EquipmentDescription, EquipmentKind
@@ -55,6 +57,7 @@ __all__ = [
     "EndpointText",
     "EquipmentDescription",
     "EquipmentKind",
+    "ExchangeableTool",
     "GateDescription",
     "GuardedEndpointText",
     "Hand",
@@ -71,5 +74,6 @@ __all__ = [
     "Shape",
     "SphereShape",
     "Tool",
+    "ToolChanger",
     "Vector3",
 ]

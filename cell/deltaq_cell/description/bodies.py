@@ -169,6 +169,24 @@ class Tool(DescriptionModel):
     bodies: dict[Name, Body] = {}
 
 
+class ExchangeableTool(Tool):
+    """A tool that a tool changer couples; its bodies are named `gr/valve_key_shaft`."""
+
+    mass_kg: NotNegative = 0.0
+    """At the origin of its frame, for criteria that weigh the arm; the KRC has load data of its own."""
+
+
+class ToolChanger(DescriptionModel):
+    """A tool changer behind digital signals of its robot; its output rests at off: no failure drops a tool."""
+
+    release: Name
+    """Output that opens it while on, and locks while off; only a request for a tool switches it."""
+    locked: Name
+    """Input that is on while a tool is locked."""
+    within_s: Positive = 2.0
+    """Time from a request until the input has to confirm it."""
+
+
 class Hand(Tool):
     """One of several hands: a tool on its own link, with frame and bodies in the frame of that link."""
 

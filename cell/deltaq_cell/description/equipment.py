@@ -43,6 +43,9 @@ class EquipmentDescription(DescriptionModel):
     """Way of the tool from there, along its z axis, until it touches or grips."""
     contact: Name | None = None
     """The contact of the cell that lets the tool touch it."""
+    tool: Name | None = None
+    """Exchangeable tool that a stand holds, or with which others are worked on. In front of a stand `approach` is the
+    pose of the bare changer."""
     axis: AxisDirection | None = None
     """Of a valve: direction of its spindle, which passes the centre of the first body."""
     turns: Positive | None = None

@@ -14,6 +14,7 @@ from deltaq_cell.description.bodies import (
     Attachment,
     Camera,
     DescriptionModel,
+    ExchangeableTool,
     GuardedEndpointText,
     Hand,
     JointName,
@@ -21,6 +22,7 @@ from deltaq_cell.description.bodies import (
     Pose,
     Positive,
     Tool,
+    ToolChanger,
 )
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Name
@@ -225,6 +227,10 @@ class RobotDescription(DescriptionModel):
     base: Pose = Pose()
     """Of the robot's base in the world."""
     tool: Tool = Tool()
+    """What the flange always carries, such as a tool changer; its frame is in use without an exchangeable tool."""
+    tools: dict[Name, ExchangeableTool] = {}
+    """Tools that its tool changer couples, frames and bodies in the flange frame."""
+    tool_changer: ToolChanger | None = None
     hands: dict[Name, Hand] = {}
     """Of a robot with several; a single tool pose is that of the first. Such a robot has no `tool`."""
     camera: Camera | None = None
@@ -267,6 +273,29 @@ class RobotDescription(DescriptionModel):
         taken = {"tool", "camera", "object"} & set(self.hands)
         if taken:
             raise ValueError(f"a hand cannot be named {' or '.join(sorted(taken))}; name it otherwise")
+        return self
+
+    @model_validator(mode="after")
+    def _can_change_its_tools(self) -> Self:
+        changer = self.tool_changer
+        if (changer is None) == bool(self.tools):
+            missing = "tool_changer" if self.tools else "tools"
+            raise ValueError(f"tools and tool_changer are given together; {missing} is missing")
+        if changer is None:
+            return self
+        if self.hands or not isinstance(self.driver, RsiDescription):
+            raise ValueError(
+                "tool_changer: for a robot on RSI with a single tool, since its signals switch it"
+            )
+        for field, name, known in (
+            ("release", changer.release, self.outputs),
+            ("locked", changer.locked, self.inputs),
+        ):
+            if name not in known:
+                has = ", ".join(known) or "none"
+                raise ValueError(f"tool_changer.{field} is {name!r}, no such signal; the robot has {has}")
+        if taken := {"tool", "camera", "object"} & set(self.tools):
+            raise ValueError(f"a tool cannot be named {' or '.join(sorted(taken))}; name it otherwise")
         return self
 
     def _vector(self, attribute: str) -> Array:

@@ -20,6 +20,7 @@ from deltaq_protocol.messages.base import (
     Real,
     Row,
     Secret,
+    ToolName,
     Vector3,
 )
 from deltaq_protocol.messages.motion import (
@@ -69,6 +70,7 @@ from deltaq_protocol.messages.requests import (
     RobotSummary,
     Status,
     StopRequest,
+    ToolRequest,
     Welcome,
 )
 
@@ -126,7 +128,9 @@ __all__ = [
     "StopRequest",
     "TargetCoordinate",
     "TargetPoint",
+    "ToolName",
     "ToolPose",
+    "ToolRequest",
     "Vector3",
     "Verdict",
     "ViewReply",

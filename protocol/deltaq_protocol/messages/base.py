@@ -25,6 +25,8 @@ Row = tuple[_Part, _Part, _Part, _Part]
 PoseRows = tuple[Row, Row, Row, Row]
 """A homogeneous matrix, row by row."""
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[a-z][a-z0-9_-]*$")]
+ToolName = Annotated[str, Field(max_length=64, pattern=r"^([a-z][a-z0-9_-]*)?$")]
+"""An exchangeable tool of a robot; empty: none."""
 Count = Annotated[int, Field(ge=0, lt=2**63)]
 MOST_COUNTED_ON = 2**62
 """Upper bound of ids and epochs that a receiver continues to count: no message can exhaust the count."""

@@ -5,7 +5,17 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from deltaq_protocol.messages.base import Count, Joints, Message, Name, Quaternion, Real, Secret, Vector3
+from deltaq_protocol.messages.base import (
+    Count,
+    Joints,
+    Message,
+    Name,
+    Quaternion,
+    Real,
+    Secret,
+    ToolName,
+    Vector3,
+)
 from deltaq_protocol.reasons import ReasonCode
 
 # The requested view of a camera; the robot's states publish it for the controller that follows with the camera.
@@ -182,7 +192,8 @@ class RobotState(Message):
     target, and `target` is that target's name, both from its newest increment; null if the increment has none. `view`
     is the view last requested of its camera; it outlives leases, so that the next follower uses the same view. `gate`
     is the fingerprint of the gate: a hash of its code and one of its configuration; empty until the gate's first
-    message.
+    message. `coupled` is the exchangeable tool whose frame `tool` is; empty: none; null: it is not known, or the robot
+    has no tool changer.
     """
 
     type: Literal["state"] = "state"
@@ -202,6 +213,7 @@ class RobotState(Message):
     sight: Sight | None = None
     target: ViewTarget | None = None
     view: ViewWish | None = None
+    coupled: ToolName | None = None
 
 
 MOST_EARLIER = 4

@@ -14,6 +14,7 @@ from deltaq_protocol.messages.base import (
     PoseRows,
     Real,
     Secret,
+    ToolName,
     Vector3,
 )
 from deltaq_protocol.messages.motion import Phase, Verdict
@@ -103,7 +104,8 @@ class Description(Message):
     `kinematics` holds the kinematics by robot, computed from YAML and URDF, for clients that read neither. `hulls`
     holds the convex hulls that the gate uses in place of the collision meshes of a URDF: by robot and body, the
     corners of a convex hull in the frame of the body [m]. Visual meshes are not sent. `identity` is the cell's name
-    and hash (`deltaq_protocol.identity`); a client that has a file of the cell compares it with its own.
+    and hash (`deltaq_protocol.identity`); a client that has a file of the cell compares it with its own. `coupled` is
+    as in the states of the robots with a tool changer.
     """
 
     type: Literal["description"] = "description"
@@ -116,6 +118,7 @@ class Description(Message):
     hulls: dict[str, dict[str, tuple[Vector3, ...]]] = {}
     kinematics: dict[str, RobotKinematics] = {}
     identity: str = ""
+    coupled: dict[Name, ToolName | None] = {}
 
 
 # Leases: the right to move a robot.
@@ -214,6 +217,19 @@ class ContactRequest(Message):
     token: Secret = None
 
 
+class ToolRequest(Message):
+    """Couple the tool in front of the robot's tool changer, or release the present one, with an empty `tool`.
+
+    Only the holder of the lease may. After the answer, `coupled` in the robot's states changes once the changer's input
+    has confirmed it. `lease` is never sent, as in `Increment`.
+    """
+
+    type: Literal["tool"] = "tool"
+    robot: Name
+    tool: ToolName
+    lease: Secret = None
+
+
 class ChallengeRequest(Message):
     """Ask for a challenge, which the operator's next request over zenoh answers, or the hello of a TCP client."""
 
@@ -228,7 +244,7 @@ class Challenge(Message):
 
 
 class Done(Message):
-    """A stop, a reset or a change of contacts was carried out.
+    """A stop, a reset, a change of contacts or the switching of a tool changer was carried out.
 
     After a stop every robot is held, or offline; after a reset the robot is not held any more: its state has shown it.
     Without confirmation in time the answer is the error `unreachable`, although the gate was asked.

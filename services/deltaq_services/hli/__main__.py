@@ -42,8 +42,8 @@ async def _run(
 ) -> None:
     cell = model.description
 
-    def tool_pose(robot: str, q: tuple[float, ...]) -> ToolPose:
-        return model.robots[robot].tool_pose(q)
+    def tool_pose(robot: str, q: tuple[float, ...], tool: str = "tool") -> ToolPose:
+        return model.robots[robot].tool_pose(q, tool)
 
     loop = asyncio.get_running_loop()
     stopped = asyncio.Event()

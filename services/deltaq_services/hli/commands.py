@@ -43,6 +43,7 @@ KIND_OF_REQUEST = {
     "reset": AuditKind.RESET,
     "io": AuditKind.OUTPUTS,
     "contact": AuditKind.CONTACT,
+    "tool": AuditKind.TOOL,
     "dry_run": AuditKind.DRY_RUN,
     "view": AuditKind.VIEW,
 }
@@ -73,6 +74,8 @@ def _asked_for(command: Command) -> str:
             return ", ".join(f"{name} {'on' if on else 'off'}" for name, on in command.outputs.items())
         case "contact":
             return f"{command.contact} {'allowed' if command.allowed else 'forbidden'}"
+        case "tool":
+            return f"couple {command.tool}" if command.tool else "release the tool"
     return ""
 
 
@@ -220,7 +223,7 @@ class Commands(Part):
         asked_for = awaited.command.robot
         robot = f" of {asked_for}" if asked_for else ""
         text = f"{awaited.command.kind}{robot} refused: {reply.message or EXPLANATIONS[code]}"
-        hint = _HINTS.get(code, "")
+        hint = _HINTS.get(code, "") if awaited.command.kind == "reset" else ""
         self._say(awaited, AuditOutcome.REFUSED, text, code)
         error = Error(
             code=code, message=text, hint=hint, request=awaited.command.kind, robot=asked_for or None

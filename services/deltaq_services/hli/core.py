@@ -52,7 +52,7 @@ class HliCore(Part):
     Args:
         cell: description of the cell.
         description: the cell's description for clients.
-        tool_pose: pose of a robot's tool from its name and its n joints `q` [rad or m].
+        tool_pose: pose of a robot's tool from its name, its n joints `q` [rad or m], and the coupled tool, if any.
         new_token: makes a secret, different each time.
         first_epoch: greater than any lease epoch or command id used before, as far as that can be known.
         roles: of clients; None: every client is an operator.
@@ -72,7 +72,7 @@ class HliCore(Part):
         self,
         cell: CellDescription,
         description: Description,
-        tool_pose: Callable[[str, tuple[float, ...]], ToolPose],
+        tool_pose: Callable[..., ToolPose],
         new_token: Callable[[], str],
         first_epoch: int,
         roles: ClientRoles | None = None,
@@ -189,6 +189,9 @@ class HliCore(Part):
             return []
         self.counters["states"] += 1
         self._states[state.robot].at(time_s)
+        if state.tool != self.description.coupled.get(state.robot):
+            coupled = {**self.description.coupled, state.robot: state.tool}
+            self.description = self.description.model_copy(update={"coupled": coupled})
         outputs = self._state.tick(time_s)
         link.take_state(state, time_s)
         self._state.commands.suppose(state.epoch)
@@ -203,7 +206,7 @@ class HliCore(Part):
             time_s=state.time_s,
             q=state.q,
             q_cmd=state.q_cmd,
-            tool=self._tool_pose(state.robot, state.q),
+            tool=self._tool_pose(state.robot, state.q, *((state.tool,) if state.tool else ())),
             phase=state.phase,
             reason=state.reason,
             gate=self._gate.fingerprint if self._gate else "",
@@ -213,6 +216,7 @@ class HliCore(Part):
             sight=link.sight,
             target=link.target,
             view=link.view,
+            coupled=state.tool,
         )
         told = ToTopic(topics.STATE, state.robot, placed)
         return [*outputs, *asked, told] if waited else [*outputs, told, *asked]

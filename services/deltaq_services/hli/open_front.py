@@ -200,7 +200,7 @@ class OpenFront:
         self._cell = cell.cell
         self._increment_keys = {robot: topics.INCREMENT.key(cell.cell, robot=robot) for robot in cell.robots}
         self._port = port
-        self._description = pack(port.core.description)
+        self._told, self._description = port.core.description, pack(port.core.description)
         self._lock = threading.Lock()
         self._stamps = stamps_if_asked("hli", list(cell.robots))
         rules = access(Party.HLI, Realm.OPEN, cell.cell)
@@ -279,6 +279,9 @@ class OpenFront:
 
     def _on_description(self, query: zenoh.Query) -> None:
         with query:
+            if self._told is not self._port.core.description:  # a robot has another tool
+                self._told = self._port.core.description
+                self._description = pack(self._told)
             query.reply(topics.DESCRIPTION.key(self._cell), self._description)
 
     def _answer(self, row: RequestRow, query: zenoh.Query) -> None:

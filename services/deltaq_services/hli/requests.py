@@ -32,6 +32,7 @@ from deltaq_protocol.messages import (
     Reason,
     ResetRequest,
     StopRequest,
+    ToolRequest,
     ViewReply,
     ViewRequest,
     ViewTarget,
@@ -102,7 +103,7 @@ def changed(before: ViewWish | None, request: ViewRequest) -> ViewWish:
     return (before or ViewWish()).model_copy(update={**dict.fromkeys(ended), **given})
 
 
-_Request = ContactRequest | DryRunRequest | IoRequest | ResetRequest | ViewRequest
+_Request = ContactRequest | DryRunRequest | IoRequest | ResetRequest | ToolRequest | ViewRequest
 _WithRole = ContactRequest | LeaseRequest | ResetRequest | ViewRequest
 
 _GIVE_IT = f"over lines in the hello; to `deltaq` and in Python by {OPERATOR_TOKEN} or {CLIENT_TOKEN}"
@@ -255,7 +256,13 @@ class Requests:
         robot = request.robot
         if robot not in self._state.links:
             return outputs + self._error(sender, request, ReasonCode.UNKNOWN_ROBOT, *self._robots_are(robot))
-        known = self._state.cell.robots[robot].outputs
+        described = self._state.cell.robots[robot]
+        changer = described.tool_changer
+        if changer is not None and changer.release in request.outputs:
+            text = f"outputs: {changer.release} switches the tool changer of {robot}"
+            hint = "couple or release a tool: `deltaq io --couple`"
+            return outputs + self._error(sender, request, ReasonCode.NOT_PERMITTED, text, hint)
+        known = described.outputs
         foreign = [name for name in request.outputs if name not in known]
         if foreign:
             has = ", ".join(known) or "none"
@@ -295,6 +302,31 @@ class Requests:
             if lease is not None:
                 self._state.leases.renew(lease, time_s)
         return outputs
+
+    def on_tool(self, request: ToolRequest, sender: Sender, time_s: float) -> list[Output]:
+        """Couple a tool, or release the present one. Only the holder of the robot's lease may."""
+        outputs = self._state.tick(time_s)
+        robot = request.robot
+        if robot not in self._state.links:
+            return outputs + self._error(sender, request, ReasonCode.UNKNOWN_ROBOT, *self._robots_are(robot))
+        known = self._state.cell.robots[robot].tools
+        if not known or request.tool not in {*known, ""}:
+            has = ", ".join(known) or "no tool changer"
+            text, hint = (
+                f"tool: no tool {request.tool!r}; {robot} has {has}",
+                "see `tools` in the cell's YAML",
+            )
+            return outputs + self._error(sender, request, ReasonCode.MALFORMED, text, hint)
+        lease = self._state.leases.held_with(robot, request.lease)
+        if lease is None:
+            text = f"only the holder of the lease of {robot} changes its tool"
+            hint = "acquire the lease first"
+            return outputs + self._error(sender, request, ReasonCode.LEASE_NOT_HELD, text, hint)
+        self._state.leases.renew(lease, time_s)
+        self._state.counters["tools_asked"] += 1
+        command = self._state.new_command(kind="tool", robot=robot, tool=request.tool)
+        what = f"{robot}: {f'couple {request.tool}' if request.tool else 'release the tool'}"
+        return outputs + self._state.command(command, sender, Done(what=what), time_s)
 
     def on_connection_lost(self, leases: Iterable[tuple[str, str]], time_s: float) -> list[Output]:
         """End the leases of a broken connection; `leases` are its (robot, token) pairs."""
@@ -377,6 +409,7 @@ ROWS = (
     RequestRow(StopRequest, topics.STOP, Requests.on_stop),
     RequestRow(ResetRequest, topics.RESET, Requests.on_reset, ("token",)),
     RequestRow(DryRunRequest, topics.DRY_RUN, Requests.on_dry_run),
+    RequestRow(ToolRequest, topics.TOOL, Requests.on_tool, ("lease",)),
     RequestRow(ContactRequest, topics.CONTACT, Requests.on_contact, ("token",)),
     RequestRow(ViewRequest, topics.VIEW, Requests.on_view, ("token",)),
     RequestRow(DescribeRequest),

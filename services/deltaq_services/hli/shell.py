@@ -53,7 +53,7 @@ class Hli:
     Args:
         cell: description of the cell.
         description: the cell's description for clients.
-        tool_pose: pose of a robot's tool from its name and its n joints `q` [rad or m].
+        tool_pose: pose of a robot's tool from its name, its n joints `q` [rad or m], and the coupled tool, if any.
         roles: of clients; None: every client is an operator.
         encryption: of the lines over TCP; None: they are in the clear.
         audit_file: of the audit log; None: it goes to recorders alone.
@@ -69,7 +69,7 @@ class Hli:
         self,
         cell: CellDescription,
         description: Description,
-        tool_pose: Callable[[str, tuple[float, ...]], ToolPose],
+        tool_pose: Callable[..., ToolPose],
         roles: ClientRoles | None = None,
         encryption: ssl.SSLContext | None = None,
         audit_file: Path | None = None,

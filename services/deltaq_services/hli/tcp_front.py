@@ -6,12 +6,11 @@ import asyncio
 import logging
 import ssl
 from collections import Counter
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 from deltaq_protocol.audit import AuditKind, AuditOutcome
 from deltaq_protocol.codec import to_line
-from deltaq_protocol.messages import Error, Hello, RobotState
+from deltaq_protocol.messages import Description, Error, Hello, RobotState
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.commands import Deed
 from deltaq_services.hli.newcomers import HANDSHAKE_S, Handshake, Newcomers
@@ -48,6 +47,8 @@ class TcpFront:
         self._turns: LineTurns[TcpConnection] = LineTurns()
         self._tries = Tries()
         self._is_scheduled = False
+        self._described: Description | None = None
+        self._description_line = b""
         self.counters: Counter[str] = Counter()
 
     @property
@@ -55,10 +56,13 @@ class TcpFront:
         """Clients that have a place."""
         return tuple(self._places.clients)
 
-    @cached_property
+    @property
     def description_line(self) -> bytes:
-        """The longest answer, made once."""
-        return to_line(self._port.core.description)
+        """The longest answer, made once for each tool that a robot has."""
+        if self._described is not self._port.core.description:
+            self._described = self._port.core.description
+            self._description_line = to_line(self._described)
+        return self._description_line
 
     async def listen(self, address: str, tcp_port: int, encryption: ssl.SSLContext | None) -> None:
         """Start to serve; `encryption`: None where lines are in the clear.

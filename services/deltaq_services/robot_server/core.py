@@ -57,6 +57,7 @@ class RobotServer(Part):
         self._identity = str(content_identity(cell))
         self.outputs: dict[str, bool] = dict.fromkeys(cell.robots[robot].outputs, False)
         self.motion_stop = False
+        self._tool: str | None = None
         self.guarded = True
         self.counters: Counter[str] = Counter()
         self._bounds = Bounds.of(cell.robots[robot], cell.cycle_s)
@@ -333,7 +334,7 @@ class RobotServer(Part):
             self.counters["supervision_of_another_cell"] += 1
             self._stop(supervision.stop or ReasonCode.CELL_MISMATCH)
             return
-        self._cycles_without_gate = 0
+        self._cycles_without_gate, self._tool = 0, supervision.tool
         if measured.cycle_fault:
             refused: ReasonCode | None = ReasonCode.CYCLE_MISMATCH
         else:
@@ -435,6 +436,7 @@ class RobotServer(Part):
             counters=dict(self.counters),
             cell=self._identity,
             lag_s=() if self._lag is None else self._lag.lag_s(),
+            tool=self._tool,
         )
 
 

@@ -38,7 +38,7 @@ from deltaq_services.phases import MAY_MOVE
 from deltaq_services.sim.causes import impossible
 from deltaq_services.sim.fingerprint import fingerprint
 from deltaq_services.sim.gate import Contacts, Decision, Gate, nearest_pair, verdict_of
-from deltaq_services.sim.gated_robot import CommandOrder, GatedRobot, reply
+from deltaq_services.sim.gated_robot import CommandOrder, Couplings, GatedRobot, doubt, reply
 from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.retreat import Violations
 from deltaq_services.sim.tracker import Tracker
@@ -83,7 +83,10 @@ class Sim:
             name: GatedRobot(name, robot, description.gate, cycle_s)
             for name, robot in description.robots.items()
         }
-        self.contacts = Contacts(self._proximity, description.contacts)
+        bodies = {name: robot.tool_bodies for name, robot in cell.robots.items()}
+        named = frozenset().union(*(each for tools in bodies.values() for each in tools.values()))
+        self.contacts = Contacts(self._proximity, description.contacts, named)
+        self._couplings = Couplings(self.robots, bodies, self._proximity, self.contacts)
         self.violations = Violations()
         self.gate: Decider = Gate(
             self._proximity,
@@ -175,6 +178,8 @@ class Sim:
             robot.inbox.begin_anew()
         if robot.tracker.restarted or robot.tracker.displaced:
             self.violations.only(robot.name, ())  # they were measured where it stood before
+        if robot.coupling is not None and self._couplings.watch(robot, state):
+            self.violations.only(robot.name, ())  # they were measured with other bodies
         outdated = robot.inbox.cycle_passed(state.cycle, missed > missed_before)
         refused = [] if outdated is None else [self._refuse(outdated, _out_of_date(outdated, state))]
         if robot.inbox.waiting is not None:
@@ -203,7 +208,7 @@ class Sim:
         return outputs + self._decide(robot)
 
     def on_command(self, command: Command) -> list[ToTopic]:
-        """The HLI passed on a stop, a reset, digital outputs, a dry run or a change of contacts."""
+        """The HLI passed on a stop, a reset, digital outputs, a dry run, or a change of contacts or of a tool."""
         self.taken += 1
         robots = self.concerned(command)
         if not robots:
@@ -223,6 +228,12 @@ class Sim:
             return self._reset(command, robots)
         if command.kind == "stop":
             return self._stop(command, robots)
+        if command.kind == "tool" and len(robots) == 1:
+            return [reply(command.id, *(self._couplings.change(robots[0], command.tool) or ()))]
+        switches = any(robot.coupling and robot.coupling.release in command.outputs for robot in robots)
+        if switches or command.kind == "tool":
+            text = "a tool changer is switched by a request for a tool of one robot"
+            return [reply(command.id, ReasonCode.NOT_PERMITTED, text)]
         for robot in robots:
             robot.orders.outputs.update(command.outputs)
         return [reply(command.id)]
@@ -242,7 +253,7 @@ class Sim:
         """Order a reset, drop earlier requests, and answer when each robot shows the reset."""
         outputs = []
         for robot in robots:
-            refused = self._other_cell(robot) or robot.orders.reset(command.id)
+            refused = self._other_cell(robot) or doubt(robot) or robot.orders.reset(command.id)
             outputs += self._forget(robot) if refused is None else [reply(command.id, *refused)]
         return outputs
 
@@ -324,6 +335,7 @@ class Sim:
         self.violations.restore(memory.violations)
         for name, robot in memory.robots.items():
             self.robots[name].restore(robot)
+        self._couplings.keep_clear()
 
     def nearest(self) -> NearestPair | None:
         """The nearest two bodies of different robots, or of a robot and the structure or itself, now."""
@@ -380,6 +392,7 @@ class Sim:
             resets=robot.orders.resets,
             outputs=robot.orders.outputs,
             cell=self._cell,
+            tool=robot.coupling and robot.coupling.tool,
         )
         return ToTopic(topics.SUPERVISION, robot.name, message)
 
@@ -427,6 +440,8 @@ class Sim:
             return Reason(code=ReasonCode.CELL_MISMATCH, what=others[0])
         if state.epoch != self.epoch:
             return Reason(code=ReasonCode.NOT_READY, what="gate epoch")
+        if in_doubt := doubt(self.robots[state.robot]):
+            return Reason(code=ReasonCode.TOOL_MISMATCH, what=in_doubt[1])
         return None
 
     def _other_cell(self, robot: GatedRobot) -> tuple[ReasonCode, str] | None:

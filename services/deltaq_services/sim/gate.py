@@ -30,20 +30,31 @@ from deltaq_services.sim.tube import Windows
 
 
 class Contacts:
-    """The contacts allowed now: pairs of bodies that an operator permits to touch. None is allowed at the start.
+    """The pairs of bodies that are not kept apart: those of allowed contacts, and those of tools that are not there.
+
+    At the start no contact is allowed, and every exchangeable tool may be there.
 
     Args:
-        proximity: of the cell; it measures no pair that an allowed contact names.
+        proximity: of the cell; it measures no such pair.
         contacts: of the cell, by name.
+        tool_bodies: names of the bodies of all exchangeable tools.
 
     Attributes:
         allowed: names of the contacts allowed now, in the cell's order.
+        absent: bodies of tools that are not there.
     """
 
-    def __init__(self, proximity: ProximityEngine, contacts: Mapping[str, ContactDescription]) -> None:
+    def __init__(
+        self,
+        proximity: ProximityEngine,
+        contacts: Mapping[str, ContactDescription],
+        tool_bodies: frozenset[str] = frozenset(),
+    ) -> None:
         self._proximity = proximity
         self._contacts = contacts
+        self._tool_bodies = tool_bodies
         self.allowed: tuple[str, ...] = ()
+        self.absent: frozenset[str] = frozenset()
 
     def __contains__(self, name: object) -> bool:
         """Whether the cell has such a contact."""
@@ -52,11 +63,19 @@ class Contacts:
     def allow(self, names: Iterable[str]) -> None:
         """Allow these contacts and forbid all others."""
         wanted = set(names)
+        self._proximity.leave_out_bodies(self._tool_bodies, left_out=False)
         for contact in self._contacts.values():
             self._proximity.leave_out(contact.pairs, left_out=False)
         self.allowed = tuple(name for name in self._contacts if name in wanted)
         for name in self.allowed:
             self._proximity.leave_out(self._contacts[name].pairs)
+        self._proximity.leave_out_bodies(self.absent)
+
+    def without(self, absent: frozenset[str]) -> None:
+        """Measure no pair of these bodies of tools, and those of all other tools."""
+        if absent != self.absent:
+            self.absent = absent
+            self.allow(self.allowed)
 
     def switch(self, name: str, allowed: bool) -> None:
         """Allow one contact, or forbid it."""

@@ -195,7 +195,14 @@ class SparedSupervision:
         if not isinstance(message, Supervision):
             return False
         robot = message.robot
-        orders = message.epoch, message.stop, message.resets, dict(message.outputs), message.cell
+        orders = (
+            message.epoch,
+            message.stop,
+            message.resets,
+            dict(message.outputs),
+            message.cell,
+            message.tool,
+        )
         is_repeated = message.stop is None and orders == self._sent.get(robot)
         if is_repeated and robot in self._admitted and self._spared[robot] < self._most:
             self._admitted.discard(robot)

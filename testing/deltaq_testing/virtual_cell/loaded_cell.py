@@ -70,6 +70,6 @@ class LoadedCell:
         codec = sensor_codec(description, server.robot, xml)
         return RsiDriver(codec, description, server.robot, server.counters)
 
-    def tool_pose(self, robot: str, q: tuple[float, ...]) -> ToolPose:
+    def tool_pose(self, robot: str, q: tuple[float, ...], tool: str = "tool") -> ToolPose:
         """Pose of a robot's tool at `q` (n,) [rad or m]."""
-        return self.model.robots[robot].tool_pose(q)
+        return self.model.robots[robot].tool_pose(q, tool)
