@@ -22,7 +22,14 @@ from deltaq_controllers.camera.outlook import Outlook
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import ControllerError, HeldBack, LastIncrement, RobotView, View
 from deltaq_controllers.limits import IncrementLimits
-from deltaq_controllers.live import ControlStatistics, ErrorStatistics, cell_model, drive, run
+from deltaq_controllers.live import (
+    ControlStatistics,
+    ErrorStatistics,
+    ToolChangedError,
+    cell_model,
+    drive,
+    run,
+)
 from deltaq_controllers.robot_clocks import ClockReading
 from deltaq_protocol import connect
 from deltaq_protocol.arrays import Array
@@ -160,10 +167,18 @@ class FollowerProcess:
         self._reading: ClockReading | None = None
 
     async def follow(self) -> None:
-        """Follow for as long as asked."""
+        """Follow for as long as asked; with another tool of a robot, begin anew with its model."""
+        while True:
+            try:
+                return await self._follow()
+            except ToolChangedError as error:
+                _log.info("%s", error)
+
+    async def _follow(self) -> None:
         options = self._options
         async with connect(options.url, client="camera-follower") as cell:
-            model = cell_model(cell.description)
+            description = cell.description
+            model = cell_model(description)
             roles = camera_roles(model.description, options.robot, options.leader)
             options.robot, options.leader = roles.follower, roles.leader
             scene = Scene(model, options.robot, options.leader, tuple(options.aim_offset_m))
@@ -196,6 +211,7 @@ class FollowerProcess:
                         seen,
                         camera.take,
                         self._reading,
+                        description.coupled,
                     )
 
     def _watch(

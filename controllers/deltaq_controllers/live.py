@@ -40,6 +40,21 @@ from deltaq_protocol.real_time import (
 # Counts of a controller's run: verdicts, reasons, and errors after the start-up.
 
 
+class ToolChangedError(ControllerError):
+    """A robot has another tool than the models of this process."""
+
+
+def check_tools(cell: Cell, coupled: Mapping[str, str | None]) -> None:
+    """Check that the robots have the tools that they had when their models were made.
+
+    Raises:
+        ToolChangedError: one has not.
+    """
+    if coupled and (now := cell.description.coupled) != coupled:
+        changed = next(name for name in now if now[name] != coupled.get(name))
+        raise ToolChangedError(f"the tool of {changed} has changed; start again")
+
+
 class ErrorStatistics:
     """Root mean square, largest and last size of an error."""
 
@@ -171,7 +186,7 @@ REFUSED, USAGE, UNREACHABLE = 1, 2, 3
 
 
 def robot_models(description: Description) -> dict[str, RobotModel]:
-    """Models of all robots of a cell, from its HLI's description; no file is needed."""
+    """Models of all robots of a cell with their present tools, from its HLI's description; no file is needed."""
     return _robots(_parsed(description), description)
 
 
@@ -186,7 +201,8 @@ def _parsed(description: Description) -> CellDescription:
 
 
 def _robots(cell: CellDescription, description: Description) -> dict[str, RobotModel]:
-    return robots_told(cell, description.urdf, description.hulls)
+    robots = robots_told(cell, description.urdf, description.hulls)
+    return {name: robot.with_tool(description.coupled.get(name)) for name, robot in robots.items()}
 
 
 def where_others_are(cell: Cell, robot: str) -> Callable[[], dict[str, Array]]:
@@ -219,6 +235,7 @@ async def drive(
     seen: Callable[[], tuple[Sight | None, ViewTarget | None]] | None = None,
     wished: Callable[[ViewWish | None], None] | None = None,
     reading: ClockReading | None = None,
+    coupled: Mapping[str, str | None] | None = None,
 ) -> None:
     """Answer every state of a robot with the controller's increment, until cancelled.
 
@@ -234,15 +251,19 @@ async def drive(
         seen: returns how well the controller sees its target, and the target; published with each increment.
         wished: called with the view that clients have requested.
         reading: of the robots' clocks; None for one of its own.
+        coupled: the tools that the controller presumes, as `Description.coupled`; None: the present ones.
 
     Raises:
         RefusedError: the lease was not granted, or lost.
         ServiceUnreachableError: the HLI is gone.
+        ToolChangedError: a robot has another tool now.
     """
+    coupled = cell.description.coupled if coupled is None else coupled
     with control_loop(place_of_robot(cell.robots, robot) if robot in cell.robots else None):
         async with await lease(cell, robot) as leased:
             answers = Answers(cell, leased, reading)
             async for state in leased.states():
+                check_tools(cell, coupled)
                 if wished is not None:
                     wished(state.view)
                 for cycle in await answers.due(state):

@@ -21,6 +21,7 @@ from deltaq_controllers.criteria.table import check_known
 from deltaq_controllers.live import (
     ControlStatistics,
     cell_model,
+    check_tools,
     control_loop,
     model_of,
     robot_models,
@@ -341,7 +342,9 @@ async def teleoperate(
     Raises:
         RefusedError: the lease was not granted or lost, or the robot is held.
         ServiceUnreachableError: the HLI is gone.
+        ToolChangedError: a robot has another tool now.
     """
+    coupled = cell.description.coupled
     robot, described = teleoperator.robot.name, teleoperator.robot.description
     is_over = False
     await asyncio.to_thread(practise, teleoperator)
@@ -356,6 +359,7 @@ async def teleoperate(
             async for state in leased.states():
                 if state.phase is Phase.HELD:
                     raise _held(robot, state.reason)
+                check_tools(cell, coupled)
                 command = None if is_over or enough.is_set() else operator.read(state.time_s)
                 is_over = (
                     command is None

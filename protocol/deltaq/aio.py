@@ -186,6 +186,10 @@ class Robot:
         """Set digital outputs, and read all; see `deltaq_protocol.leased_robot.LeasedRobot.io`."""
         return await self.leased.io(outputs)
 
+    async def couple(self, tool: str | None) -> RobotState:
+        """Couple a tool, or release it with None; see `deltaq_protocol.leased_robot.LeasedRobot.couple`."""
+        return await self.leased.couple(tool)
+
     async def _follow(self, path: Callable[[Array], Array], speed: float) -> RobotState:
         motion: Motion | None = None
         in_flight, last = InFlight(), None
@@ -220,7 +224,8 @@ class Robot:
         return state
 
     def _tool(self) -> Tool:
-        return Tool(self._cell.description.kinematics[self.name], self.summary)
+        coupled = self.leased.state.coupled if self.leased.state else None
+        return Tool(self._cell.description.kinematics[self.name], self.summary, coupled or "tool")
 
 
 class Cell(client.Cell):

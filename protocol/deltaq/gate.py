@@ -118,6 +118,7 @@ class Gate:
         obstacles: Mapping[str, Obstacle] | None = None,
         q: Mapping[str, ArrayLike] | None = None,
         sources: Mapping[str, str] | None = None,
+        tools: Mapping[str, str] | None = None,
     ) -> None:
         if obstacles is not None and not isinstance(obstacles, Mapping):
             kind = type(obstacles).__name__
@@ -125,7 +126,12 @@ class Gate:
         gate = cell.description.gate.model_copy(update={"lookahead_cycles": 1})
         description = cell.description.model_copy(update={"gate": gate})
         self._bare = CellModel(description, cell.robots, cell.structure, cell.yaml)
-        self.sources = dict(sources or {})
+        self.sources, self._tools = dict(sources or {}), dict(tools or {})
+        for name, tool in self._tools.items():
+            known = cell.description.robots[name].tools if name in cell.robots else ()
+            if tool not in known:
+                bound = f"must be one of {', '.join(known) or 'none'}"
+                raise GateError(f"tools.{name}", tool, bound, "name a tool of a robot with a tool changer")
         self._obstacles: dict[str, Obstacle] = {}
         self._time_s: float | None = None
         self._cycle = 0
@@ -196,6 +202,7 @@ class Gate:
         cell: str | Path,
         obstacles: Mapping[str, Obstacle] | None = None,
         q: Mapping[str, ArrayLike] | None = None,
+        tools: Mapping[str, str] | None = None,
     ) -> Gate:
         """A gate for all robots of a described cell.
 
@@ -203,12 +210,13 @@ class Gate:
             cell: name or file; structure, margins and limits are the cell's.
             obstacles: beside its structure.
             q: start configurations by robot, each (n,) [rad or m]; robots without one start at home.
+            tools: the tool at each tool changer, by robot; a changer that is not named is bare.
 
         Raises:
             CellError: there is no such cell, or its file has errors.
-            GateError: an obstacle or a start cannot be.
+            GateError: an obstacle, a start or a tool cannot be.
         """
-        return cls(CellModel.load(cell), obstacles, q)
+        return cls(CellModel.load(cell), obstacles, q, tools=tools)
 
     @property
     def robots(self) -> tuple[str, ...]:
@@ -416,6 +424,7 @@ class Gate:
         measured = now.q_cmd if arm.measured is None or motion is not None else arm.measured
         held = arm.stopped if motion is None else None
         number = self._cycle if cycle is None else cycle
+        changer, tool = self.cell.description.robots[name].tool_changer, self._tools.get(name, "")
         return ServerState(
             robot=name,
             process=1,
@@ -431,6 +440,8 @@ class Gate:
             phase=Phase.HELD if held else Phase.READY if now.rests else Phase.ENGAGED,
             reason=None if held is None else held.code,
             cell=self._identity,
+            inputs={changer.locked: bool(tool)} if changer else {},
+            tool=tool if changer else None,
         )
 
     def _known(self, name: str) -> Tracker:

@@ -21,14 +21,15 @@ class Tool:
     Args:
         kinematics: of the robot, from the cell's description.
         summary: its joints and limits.
+        frame: the tool's, one of the robot's carried frames.
     """
 
-    def __init__(self, kinematics: RobotKinematics, summary: RobotSummary) -> None:
+    def __init__(self, kinematics: RobotKinematics, summary: RobotSummary, frame: str = "tool") -> None:
         self._joints = [
             (joint.parent, np.array(joint.T_parent_joint), np.array(joint.axis))
             for joint in kinematics.joints
         ]
-        carried = kinematics.frames["tool"]
+        carried = kinematics.frames[frame]
         self._carrier, self._T_joint_tool = carried.joint, np.array(carried.T_joint_frame)
         self._summary = summary
 

@@ -216,6 +216,10 @@ class BlockingRobot:
         """Set digital outputs, and read all outputs and inputs; see `LeasedRobot.io`."""
         return self._background.run(self._robot.io(outputs))
 
+    def couple(self, tool: str | None) -> RobotState:
+        """Couple a tool, or release the present one with None; see `LeasedRobot.couple`."""
+        return self._background.run(self._robot.couple(tool))
+
 
 class BlockingCell:
     """A connection to a running cell; see `deltaq_protocol.client.Cell`."""
@@ -224,8 +228,12 @@ class BlockingCell:
         self._cell = cell
         self._background = background
         self._close = close
-        self.description: Description = cell.description
         self.robots: dict[str, RobotSummary] = cell.robots
+
+    @property
+    def description(self) -> Description:
+        """Everything needed to model the cell; see `Cell.description`."""
+        return self._cell.description
 
     def state(self, robot: str) -> RobotState | None:
         """The newest state of a robot; None before the first."""

@@ -116,13 +116,12 @@ class Cell:
     """A connection to a running cell; `connect` returns it.
 
     Attributes:
-        description: everything needed to model the cell: YAML, URDFs, limits.
         robots: joints, units and limits of each robot, by name.
         counters: messages of the server that could not be understood.
     """
 
     def __init__(self, wire: Wire, description: Description, client: str, role: RoleProver | None) -> None:
-        self.description = description
+        self._description = description
         self.robots: dict[str, RobotSummary] = description.robots
         self._heard = Subscriptions(wire, description.cell, description.robots, self.ask_whether_there)
         self.counters: Counter[str] = self._heard.counters
@@ -130,6 +129,17 @@ class Cell:
         self._client = client
         self._asking = Asking(wire, description.cell, role)
         self._leases = HeldLeases(wire, description, self._asking, self._heard)
+
+    @property
+    def description(self) -> Description:
+        """Everything needed to model the cell: YAML, URDFs, limits, and the tools that the robots have now."""
+        if self._description.coupled:
+            states = {name: self.state(name) for name in self._description.coupled}
+            coupled = {name: state.coupled for name, state in states.items() if state is not None}
+            if not coupled.items() <= self._description.coupled.items():
+                coupled = self._description.coupled | coupled
+                self._description = self._description.model_copy(update={"coupled": coupled})
+        return self._description
 
     def state(self, robot: str) -> RobotState | None:
         """The newest state of a robot; None before the first."""

@@ -13,7 +13,7 @@ import zenoh
 from deltaq_protocol import topics
 from deltaq_protocol.audit import LONGEST_TEXT
 from deltaq_protocol.codec import pack, unpack
-from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
+from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
 from deltaq_protocol.held_lease import HeldLease
 from deltaq_protocol.messages import (
     EarlierIncrement,
@@ -22,10 +22,12 @@ from deltaq_protocol.messages import (
     IoRequest,
     LeaseReply,
     Outcome,
+    Phase,
     Reason,
     RobotState,
     RobotSummary,
     Sight,
+    ToolRequest,
     Verdict,
     ViewTarget,
 )
@@ -146,6 +148,10 @@ class IncrementsOut:
 VERDICT_DEADLINE_S = 0.25
 """Twice as long as an increment may be in flight: a verdict that has not come by then was lost."""
 _FIRST_STATE_DEADLINE_S = 0.5
+_COUPLING_DEADLINE_S = 10.0
+_TRIES, _TRY_PERIOD_S = 10, 0.1
+_COUPLING_CYCLES = 10
+"""Cycles until a state shows that a change was begun, at least."""
 
 
 class LeasedRobot:
@@ -343,6 +349,38 @@ class LeasedRobot:
         request = IoRequest(robot=self.name, outputs=dict(outputs or {}), note=note[:LONGEST_TEXT])
         prove = self.lease.prover.prove_next
         return unpack(IoReply, await self._wire.ask(topics.IO, self._cell, request, self.name, prove=prove))
+
+    async def couple(self, tool: str | None) -> RobotState:
+        """Couple the tool in front of the tool changer, or release the present one; returns when its input confirms it.
+
+        Args:
+            tool: one of the robot's `tools`; None: open the changer.
+
+        Raises:
+            RefusedError: there is no such tool, the robot moves, the tool would be too near to a body, another one is
+                coupled, the changer is closed or did not confirm in time, or the lease was lost.
+            ServiceUnreachableError: no answer in time.
+        """
+        wanted, before = tool or "", await self._answerable()
+        request, prove = ToolRequest(robot=self.name, tool=wanted), self.lease.prover.prove_next
+        for tries_left in range(_TRIES, 0, -1):
+            try:
+                await self._wire.ask(topics.TOOL, self._cell, request, self.name, prove=prove)
+                break
+            except RefusedError as error:
+                if error.code != ReasonCode.NOT_AT_REST or tries_left == 1:
+                    raise
+            await asyncio.sleep(_TRY_PERIOD_S)  # its drives are still catching up
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(_COUPLING_DEADLINE_S):
+                async for state in self.states():
+                    if state.cycle > before.cycle + _COUPLING_CYCLES and state.coupled == wanted:
+                        return state
+                    if state.phase is Phase.HELD and before.phase is not Phase.HELD:
+                        break
+        what = f"that {wanted} is locked" if wanted else "that it is open"
+        text = f"the tool changer of {self.name} did not confirm {what}"
+        raise RefusedError(ReasonCode.TOOL_MISMATCH, text, "see to the changer, then couple or release again")
 
     def take_verdict(self, verdict: Verdict) -> None:
         """Take a verdict on this robot; called by `Cell`."""

@@ -98,7 +98,16 @@ def test_an_unsound_routine_is_refused_with_its_place(tmp_path: Path, steps: str
 
 
 def test_every_shipped_routine_says_what_it_is_for_and_the_lab_reaches_all_its_equipment() -> None:
-    assert set(shipped()) == {"hold", "look_at", "park", "press", "read_gauge", "turn"}
+    assert set(shipped()) == {
+        "fetch_tool",
+        "hold",
+        "look_at",
+        "park",
+        "press",
+        "put_tool",
+        "read_gauge",
+        "turn",
+    }
     assert all(load_routine(name)[1].title for name in shipped())
     assert unreachable(LAB) == {}
 

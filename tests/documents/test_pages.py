@@ -52,7 +52,10 @@ NOT_RUN = {
         "tests/clients/test_octave_follower.py runs it in Octave beside a moving leader",
         *["tests/clients/test_printed_programs.py runs it"] * 2,
     ],
-    "routines.md": ["needs a stop at the right moment; tests/live/test_routines_live.py has one"],
+    "routines.md": [
+        "two minutes of motion; tests/services/test_tool_changer.py changes tools in virtual time",
+        "needs a stop at the right moment; tests/live/test_routines_live.py has one",
+    ],
     "use-the-gate-alone.md": ["installs from a package index"],
     "ask-the-advisor.md": ["what the command above prints, in fewer columns"],
     "observe.md": ["needs Prometheus", "needs Prometheus", "a line of a log; tests/protocol/test_log.py"],

@@ -8,11 +8,12 @@ from collections.abc import Iterator
 import pytest
 from ran import ran
 from served import Server
-from small_cell import endpoint
+from small_cell import REVOLUTE, endpoint
 
 from deltaq_protocol.blocking import BlockingCell, connect
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Outcome
+from deltaq_protocol.reasons import ReasonCode
 
 DQ = (0.001,) * 6
 
@@ -93,6 +94,35 @@ def test_stop_reset_io_and_status_have_blocking_forms(cell: BlockingCell, server
         assert robot.io({"gripper": True}).outputs == {"gripper": True}
     while not server.peer.commands.empty():
         server.peer.commands.get_nowait()
+
+
+CHANGER = {
+    "model": "kr16",
+    "driver": {
+        "kind": "rsi", "address": "127.0.0.1", "port": 49152, "ethernet_xml": "fr.xml", "krc": "krc2",
+        "outputs": {"opens": "Do.O1"}, "inputs": {"locked": "Di.I1"},
+    },
+    "joints": {f"a{k}": REVOLUTE for k in range(1, 7)},
+    "outputs": ["opens"],
+    "inputs": ["locked"],
+    "tools": {"key": {"frame": {"position_m": [0, 0, 0.2]}}},
+    "tool_changer": {"release": "opens", "locked": "locked"},
+}  # fmt: skip
+
+
+def test_a_tool_is_coupled_when_a_state_says_so_and_the_description_tells_it() -> None:
+    with Server(robots={"fr": CHANGER}) as server, connect(server.description.hli) as cell:
+        with cell.lease("fr") as robot:
+            assert robot.couple("key").coupled == "key"
+            assert cell.description.coupled == {"fr": "key"}
+            with pytest.raises(RefusedError, match="no tool 'kee'; fr has key"):
+                robot.couple("kee")
+            server.peer.refuses = ReasonCode.CLEARANCE
+            with pytest.raises(RefusedError, match="tool of fr refused"):
+                robot.couple(None)
+            server.peer.refuses, server.peer.obeys = None, True
+        with connect(server.description.hli) as other:
+            assert other.description.coupled == {"fr": "key"}, "asked after the change"
 
 
 def test_a_non_blocking_script_sends_one_increment_a_state_and_gets_every_verdict(

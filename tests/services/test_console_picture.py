@@ -166,7 +166,7 @@ def placed(robot, q):
     return poses
 
 
-@pytest.mark.parametrize("name", ["lab", "dawm"])
+@pytest.mark.parametrize("name", ["lab-tools", "dawm"])
 def test_the_scene_places_every_frame_and_body_like_pinocchio(name):
     cell = CellModel.load(name)
     scene = scene_of(cell, emulated=True)
@@ -180,6 +180,11 @@ def test_the_scene_places_every_frame_and_body_like_pinocchio(name):
             for tool in robot["tools"]:
                 T_world_tool = poses[tool["joint"]] @ matrix(tool["T_joint_tool"])
                 assert T_world_tool == pytest.approx(model.forward(q, tool["name"]), abs=1e-9)
+            for name, tool in robot["exchangeable"].items():
+                T_world_tool = poses[tool["joint"]] @ matrix(tool["T_joint_tool"])
+                assert T_world_tool == pytest.approx(model.forward(q, name), abs=1e-9)
+            bodies = {(link["tool"], link["name"]) for link in robot["links"] if link["tool"]}
+            assert bodies == {(tool, body) for tool, named in model.tool_bodies.items() for body in named}
             if robot["camera"] is not None:
                 camera = robot["camera"]
                 T_world_camera = poses[camera["joint"]] @ matrix(camera["T_joint_camera"])

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from deltaq_controllers.answers import Answers
 from deltaq_controllers.interface import ControllerError, RobotView
-from deltaq_controllers.live import where_others_are
+from deltaq_controllers.live import ToolChangedError, check_tools, where_others_are
 from deltaq_controllers.operated.pilot import Pilot
 from deltaq_controllers.routines.routine import by_kind
 from deltaq_controllers.routines.shell import LiveRoutine
@@ -56,7 +56,7 @@ class OperatedRobot:
 
     def __init__(self, cell: Cell, robot: str, pilot: Pilot, say: Callable[[DriverMessage], None]) -> None:
         self._cell, self._robot, self._pilot, self._say = cell, robot, pilot, say
-        self._others = where_others_are(cell, robot)
+        self._others, self._coupled = where_others_are(cell, robot), cell.description.coupled
         self._told_ways: DriverWays | None = None
         self._wanted: asyncio.Queue[Take | None] = asyncio.Queue()
         self._leased: LeasedRobot | None = None
@@ -195,6 +195,9 @@ class OperatedRobot:
                 await self._drive_until_left(leased)
         except DeltaqError as error:
             trouble = str(error)
+            if isinstance(error, ToolChangedError):  # the next driver begins with other models
+                self._is_over = True
+                self._wanted.put_nowait(None)
         finally:
             self._leased = None
             if (routine := self._running) is not None:
@@ -243,6 +246,7 @@ class OperatedRobot:
                     await routine.close()
                     pilot.begin()
                 continue
+            check_tools(self._cell, self._coupled)
             if self._leaving.is_set():
                 pilot.leave()
                 if stood and _has_nothing_ahead(state, answers.own(state)):
@@ -260,7 +264,8 @@ class OperatedRobot:
         while True:
             stage = DriverStage.FREE if self._leased is None else DriverStage.LEASED
             routine = None if self._routine is None else self._routine.progress
-            report = self._pilot.report(stage).model_copy(update={"routines": by_kind(), "routine": routine})
+            routines = by_kind(self._robot in self._coupled)
+            report = self._pilot.report(stage).model_copy(update={"routines": routines, "routine": routine})
             now_s = time.monotonic()
             told_s, told = self._told
             if report != told or now_s - told_s >= TOLD_AGAIN_S:

@@ -219,6 +219,21 @@ def lines_after(steps: Sequence[PlainStep], index: int, touching: bool) -> tuple
     return tuple(ahead)
 
 
+def with_present_tools(cell: CellModel, job: Job, coupled: Mapping[str, str | None]) -> CellModel:
+    """A cell with its present tools, for a planner; at a tool stand the changer itself is the tool.
+
+    Args:
+        cell: the cell, with all tools or any.
+        job: the routine and its equipment.
+        coupled: tool of each robot with a tool changer, as in its states.
+    """
+    placed = cell.with_tools(coupled)
+    if job.item is None or job.item.kind != "tool_stand" or not coupled.get(job.robot, ""):
+        return placed
+    changer = cell.robots[job.robot].with_tool(coupled[job.robot], frame="")
+    return CellModel.of(cell.description, {**placed.robots, job.robot: changer}, cell.yaml)
+
+
 class RoutinePlanner:
     """Plans for one job, with the other robots where they are.
 
@@ -427,12 +442,18 @@ def unreachable(cell: CellModel) -> dict[str, str]:
     routines = {name: load_routine(name)[1] for name in shipped()}
     found: dict[str, str] = {}
     for name, item in cell.description.equipment.items():
-        fitting = [each for each, routine in routines.items() if item.kind in routine.kinds]
+        fitting = [
+            each
+            for each, routine in routines.items()
+            if item.kind in routine.kinds and (item.tool or not any(step.tool for step in routine.steps))
+        ]
         if item.approach is None or not fitting:
             continue
         longest = max(fitting, key=lambda each: len(routines[each].steps))
         try:
-            RoutinePlanner(cell, job_for(cell.description, longest, name)).check()
+            job = job_for(cell.description, longest, name)
+            tools = {job.robot: "" if item.kind == "tool_stand" else item.tool}
+            RoutinePlanner(with_present_tools(cell, job, tools), job).check()
         except RoutineError as error:
             found[name] = f"{longest}: {error}"
     return found

@@ -86,7 +86,7 @@ class Condition(_Part):
 
 
 class Step(_Part):
-    """One step: exactly one of the first seven fields."""
+    """One step: exactly one of the first eight fields."""
 
     move_to: Literal["approach", "home"] | tuple[FiniteFloat, ...] | None = None
     """A pose in front of the equipment, the robot's home, or a configuration [rad or m]; planned around bodies."""
@@ -94,6 +94,8 @@ class Step(_Part):
     io: dict[str, bool] | None = None
     contact: Literal["allow", "forbid"] | None = None
     """The contact that the equipment names."""
+    tool: Literal["open", "couple", "release"] | None = None
+    """The tool changer: open it without a tool, couple the tool that the equipment names, or release that tool."""
     look: Literal["equipment", "tool"] | None = None
     """What the camera that follows looks at from now on."""
     wait_for: Condition | None = None
@@ -126,7 +128,7 @@ class Step(_Part):
         return self
 
 
-_KINDS = ("move_to", "move_tool", "io", "contact", "look", "wait_for", "repeat")
+_KINDS = ("move_to", "move_tool", "io", "contact", "tool", "look", "wait_for", "repeat")
 
 
 class Routine(_Part):
@@ -176,11 +178,18 @@ def shipped() -> tuple[str, ...]:
 
 
 @cache
-def by_kind() -> dict[str, tuple[str, ...]]:
-    """Names of the shipped routines by the kind of equipment that they are for; those that need none under no name."""
+def by_kind(changes_tools: bool) -> dict[str, tuple[str, ...]]:
+    """Names of the shipped routines by the kind of equipment that they are for; those that need none under no name.
+
+    Args:
+        changes_tools: whether the robot can; if not, routines that do are left out.
+    """
     found: dict[str, tuple[str, ...]] = {}
     for name in shipped():
-        for kind in load_routine(name)[1].kinds or ("",):
+        routine = load_routine(name)[1]
+        if not changes_tools and any(step.tool for step in routine.steps):
+            continue
+        for kind in routine.kinds or ("",):
             found[kind] = (*found.get(kind, ()), name)
     return found
 
@@ -404,6 +413,8 @@ def _check_steps(
             raise RoutineError(f"{name}: {plain.text}: the equipment has no axis")
         if step.contact is not None and (item is None or item.contact is None):
             raise RoutineError(f"{name}: {plain.text}: the equipment names no contact")
+        if step.tool is not None and (item is None or item.tool not in described.tools):
+            raise RoutineError(f"{name}: {plain.text}: the equipment names no tool of {robot}")
         if step.look == "equipment" and item is None:
             raise RoutineError(f"{name}: {plain.text}: there is no equipment to look at")
         if isinstance(step.move_to, tuple):

@@ -65,13 +65,21 @@ class AllowRequest:
 
 
 @dataclass(frozen=True)
+class CoupleRequest:
+    """The equipment's tool, to be coupled or released, or the bare tool changer, to be opened."""
+
+    action: str
+    tool: str
+
+
+@dataclass(frozen=True)
 class LookRequest:
     """What the camera looks at: the equipment, or the tool of the robot that works."""
 
     at_equipment: bool
 
 
-RoutineRequest = PlanRequest | SwitchRequest | AllowRequest | LookRequest
+RoutineRequest = PlanRequest | SwitchRequest | AllowRequest | CoupleRequest | LookRequest
 RoutineAnswer = PlannedMotion | Mapping[str, bool] | RoutineError | None
 
 
@@ -343,6 +351,9 @@ class RoutineRun:
         if step.contact is not None:
             assert contact is not None  # the job was checked
             return self._ask(AllowRequest(contact, step.contact == "allow"))
+        if step.tool is not None:
+            assert self._job.item is not None  # the job was checked
+            return self._ask(CoupleRequest(step.tool, self._job.item.tool or ""))
         return self._ask(LookRequest(step.look == "equipment"))
 
     def _ask(self, request: RoutineRequest) -> RoutineRequest:

@@ -24,10 +24,12 @@ from deltaq_controllers.routines.planner import (
     PlanRequest,
     RoutinePlanner,
     lines_after,
+    with_present_tools,
 )
 from deltaq_controllers.routines.routine import Job, RoutineError, job_for
 from deltaq_controllers.routines.run import (
     AllowRequest,
+    CoupleRequest,
     RoutineAnswer,
     RoutineRequest,
     RoutineRun,
@@ -84,11 +86,13 @@ class LiveRoutine:
         self._model: CellModel = cell_model(cell.description)
         description = self._model.description
         self.job: Job = job_for(description, routine, equipment, robot, **(numbers or {}))
+        self._coupled = cell.description.coupled
+        _check_tool(self.job, self._coupled)
         if not 0 <= first < len(self.job.steps):
             raise RoutineError(
                 f"step {first + 1}: {self.job.routine} has {len(self.job.steps)} steps; the run is over"
             )
-        self._planner = RoutinePlanner(self._model, self.job)
+        self._planner = self._planner_now()
         self._carrying: asyncio.Task[RoutineAnswer] | None = None
         self._noting: asyncio.Task[None] | None = None
         self._noted = 0
@@ -96,6 +100,9 @@ class LiveRoutine:
         self._others = where_others_are(cell, self.job.robot)
         model = self._model.robots[self.job.robot]
         self.run = RoutineRun(self.job, model, description.gate.servo_lag_s, description.cycle_s, first)
+
+    def _planner_now(self) -> RoutinePlanner:
+        return RoutinePlanner(with_present_tools(self._model, self.job, self._coupled), self.job)
 
     async def drive(self, leased: LeasedRobot, watch: Callable[[RoutineRun], None] = lambda _: None) -> None:
         """Drive the robot until the run is over; the contact is forbidden then, and the run recorded.
@@ -261,6 +268,8 @@ class LiveRoutine:
                 self._allowed = request.contact
                 await self._cell.allow_contact(request.contact, request.allowed)
                 self._allowed = request.contact if request.allowed else ""
+            elif isinstance(request, CoupleRequest):
+                await self._change_tool(leased, request)
             elif self.job.camera is not None:
                 wish = self._planner.view(request.at_equipment, self._others())
                 await self._cell.view(self.job.camera, wish.distance_m, targets=wish.targets)
@@ -269,6 +278,15 @@ class LiveRoutine:
         except DeltaqError as error:
             return RoutineError(str(error))
         return None
+
+    async def _change_tool(self, leased: LeasedRobot, request: CoupleRequest) -> None:
+        present, needs = self._coupled.get(leased.name), request.tool if request.action == "release" else ""
+        if present != needs:
+            has = "has no tool" if present == "" else f"has {present or 'an unknown tool'}"
+            raise RoutineError(f"{leased.name} {has}, not {needs or 'a bare tool changer'}")
+        await leased.couple(request.tool if request.action == "couple" else None)
+        self._coupled = self._cell.description.coupled
+        self._planner = await asyncio.to_thread(self._planner_now)
 
     def _planned(self, request: PlanRequest) -> PlannedMotion:
         planned = self._planner.plan(request, self._others())
@@ -313,6 +331,21 @@ class LiveRoutine:
             whole = file.with_suffix(f".{os.getpid()}")
             whole.write_text("".join(json.dumps(run) + "\n" for run in kept), encoding="utf-8")
             whole.replace(file)  # who reads it meanwhile has the old one, or the new one
+
+
+def _check_tool(job: Job, coupled: Mapping[str, str | None]) -> None:
+    """Check that a robot has the tool with which the equipment is worked on.
+
+    Raises:
+        RoutineError: it has another, or none.
+    """
+    if job.item is None or job.item.tool is None or job.item.kind == "tool_stand":
+        return
+    if (present := coupled.get(job.robot)) != job.item.tool:
+        raise RoutineError(
+            f"{job.equipment} needs {job.item.tool}, and {job.robot} has {present or 'none'}: fetch it first, with "
+            "`deltaq routine run fetch_tool` and its stand"
+        )
 
 
 def record_file(cell: str) -> Path:

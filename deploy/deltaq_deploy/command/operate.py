@@ -128,24 +128,35 @@ def io(
     outputs: Annotated[
         list[str] | None, typer.Argument(metavar="OUTPUT=on|off", help="Outputs to set; none: show all.")
     ] = None,
+    couple: Annotated[
+        str | None, typer.Option("--couple", metavar="TOOL", help="Couple a tool at its tool changer.")
+    ] = None,
+    release: Annotated[bool, typer.Option("--release", help="Open its tool changer.")] = False,
     cell: CellOption = "lab",
     url: UrlOption = None,
     token: TokenOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Show digital outputs and inputs of a robot, or set outputs; refused while another client has its lease."""
+    """Show outputs, inputs and tool of a robot, or switch them; refused while another client has its lease."""
     from deltaq_deploy.launch.cell_connection import Where, connect
 
     asked = dict(_switched(each) for each in outputs or ())
+    if release and couple is not None:
+        raise typer.BadParameter("choose one of --couple and --release")
     with connect(Where.of(cell, url, robot), "deltaq io", token) as running:
-        if asked:
+        if asked or release or couple is not None:
             with running.lease(robot) as leased:
-                told = leased.io(asked)
-        else:
-            told = running.io(robot)
+                if asked:
+                    leased.io(asked)
+                if release or couple is not None:
+                    leased.couple(couple)
+        told, has = running.io(robot), running.description.coupled
     if json:
-        print_json(told.model_dump(mode="json"))
+        print_json(told.model_dump(mode="json") | ({"tool": has[robot]} if robot in has else {}))
         return
+    if robot in has:
+        unknown = "not known; name it with --couple, or --release it"
+        typer.echo(f"tool: {unknown if has[robot] is None else has[robot] or 'none'}")
     for kind, values in (("output", told.outputs), ("input", told.inputs)):
         for name, is_on in values.items():
             typer.echo(f"{kind} {name}: {'on' if is_on else 'off'}")

@@ -19,7 +19,18 @@ from deltaq_protocol.driving import (
     RoutineProgress,
     Search,
 )
-from deltaq_protocol.messages import Count, Message, Outcome, Phase, Real, Reason, RobotState, Sight, Verdict
+from deltaq_protocol.messages import (
+    Count,
+    Message,
+    Outcome,
+    Phase,
+    Real,
+    Reason,
+    RobotState,
+    Sight,
+    ToolName,
+    Verdict,
+)
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 
 SignalState = Annotated[str, Field(min_length=1, max_length=64)]
@@ -144,7 +155,7 @@ class RobotStatusView(Message):
     effector, with its displacement times `master_scale`; empty if none was chosen. `search` is present in modes that
     offer paths, which come in `WaysView`. `looks_at` is the target of its camera in words, and `sight` how well the
     controller sees it, if it says so; `targets` are the robots that it was asked to look at. `routines` and `routine`
-    are those of its driver.
+    are those of its driver. `coupled` is its exchangeable tool, as in its states.
     """
 
     phase: Phase
@@ -170,6 +181,7 @@ class RobotStatusView(Message):
     bound: Bound | None = None
     outputs: dict[SignalState, bool] = {}
     inputs: dict[SignalState, bool] = {}
+    coupled: ToolName | None = None
 
 
 class WaysView(DriverWays):

@@ -260,6 +260,7 @@ class RobotSide:
             bound=self.bound,
             outputs=self.outputs,
             inputs=self.inputs,
+            coupled=None if state is None else state.coupled,
             **({} if report is None else {name: getattr(report, name) for name in _OF_DRIVER}),
         )
 

@@ -113,6 +113,13 @@ def _robot(robot: RobotModel, meshes: dict[str, str]) -> dict[str, Any]:
             }
             for name in robot.hands
         ],
+        "exchangeable": {
+            name: {
+                "joint": int(model.frames[robot.frame_of(name)].parentJoint) - 1,
+                "T_joint_tool": _columns(_on_joint(robot, robot.frame_of(name))),
+            }
+            for name in robot.tool_bodies
+        },
         "camera": None
         if camera is None
         else {
@@ -157,7 +164,8 @@ def _links(robot: RobotModel, meshes: dict[str, str]) -> Iterator[dict[str, Any]
         name = body.name if is_bolted else f"{robot.name}/{body.name.rsplit('_', 1)[0]}"
         joint = int(body.parentJoint) - 1
         place = body.placement if joint >= 0 else _base(robot).inverse() * body.placement
-        link = links.setdefault(name, {"joint": joint, "name": name, "meshes": []})
+        tool = next((each for each, bodies in robot.tool_bodies.items() if body.name in bodies), None)
+        link = links.setdefault(name, {"joint": joint, "name": name, "tool": tool, "meshes": []})
         link["meshes"].append({**_shape(body, meshes), "T_link_mesh": _columns(place)})
     yield from links.values()
 

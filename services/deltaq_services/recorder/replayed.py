@@ -49,8 +49,9 @@ def replayed(path: Path, identity: str, most_ticks: int = MOST_TICKS) -> dict[st
     """The recording as a JSON object; times from its beginning [s], joints in rad or m.
 
     It has `name`, `source`, `begin_s` (time of day, if recorded live), the step `period_s`, for each of `robots` a list
-    a step of `q`, `phase`, `outcome`, `clearance_m` and `focus`, `nearest` (the nearest pair of each step), `verdicts`
-    (those other than admitted, and notes), `pictures` (of each live stream time and file) and `notices` of damage.
+    a step of `q`, `phase`, `outcome`, `clearance_m`, `focus` and `coupled`, `nearest` (the nearest pair of each step),
+    `verdicts` (those other than admitted, and notes), `pictures` (of each live stream time and file) and `notices` of
+    damage.
 
     Args:
         path: the file.
@@ -108,7 +109,8 @@ class _Track:
         self.period_s = PERIOD_S
         self.states: dict[str, tuple[float, RobotState]] = {}
         self.ticks: dict[str, dict[str, list[Any]]] = {
-            name: {"q": [], "phase": [], "outcome": [], "clearance_m": [], "focus": []} for name in robots
+            name: {"q": [], "phase": [], "outcome": [], "clearance_m": [], "focus": [], "coupled": []}
+            for name in robots
         }
         self.nearest: list[list[Any]] = []
         self.verdicts: list[dict[str, Any]] = []
@@ -139,6 +141,7 @@ class _Track:
             columns["outcome"].append(None if verdict is None else _OUTCOMES.index(verdict.outcome))
             columns["clearance_m"].append(None if verdict is None else verdict.clearance_m)
             columns["focus"].append(None if is_old or state is None else self._focus(state))
+            columns["coupled"].append(None if state is None else state.coupled)
         self._count += 1
 
     def _focus(self, state: RobotState) -> list[float] | None:

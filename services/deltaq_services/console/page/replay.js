@@ -42,7 +42,7 @@ export class Replay {
     return { server_s: this.time_s, nearest: this._nearest(), robots };
   }
 
-  _robot({ q, phase, outcome, clearance_m, focus }, index, k, share) {
+  _robot({ q, phase, outcome, clearance_m, focus, coupled }, index, k, share) {
     const home = this.scene.robots[index].home ?? this.scene.robots[index].joints.map(() => 0);
     const from = q[k] ?? home;
     const to = q[k + 1] ?? from;
@@ -59,6 +59,7 @@ export class Replay {
       admission: NaN,
       longest_s: NaN,
       focus: looked && between(looked, focus[k + 1] ?? looked, share),
+      coupled: coupled?.[k],
       q: at,
       rest: at, // what braking would have done was not recorded
     };

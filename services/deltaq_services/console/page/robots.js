@@ -20,8 +20,8 @@ export class RobotView {
    */
   static async make(robot, store, material) {
     const view = new RobotView(robot);
-    const carried = Map.groupBy(robot.links, (link) => link.joint);
-    await Promise.all([...carried].map(([joint, links]) => view._addLinks(joint, links, store, material)));
+    const carried = Map.groupBy(robot.links, (link) => `${link.joint} ${link.tool ?? ""}`);
+    await Promise.all([...carried.values()].map((links) => view._addLinks(links, store, material)));
     view.place(view.q);
     return view;
   }
@@ -42,6 +42,18 @@ export class RobotView {
     });
     this.bodies = new Map(); // body's name in the gate -> {geometry, joint, matrix} of its parts
     this.q = robot.joints.map(() => 0);
+    this.coupled = null;
+    this._ghosts = [];
+  }
+
+  /** Show one of its exchangeable tools, none (""), or all where it is not known which it has (null). */
+  couple(tool) {
+    if (tool === this.coupled) return;
+    this.coupled = tool;
+    for (const child of this._groups.flatMap((group) => group.children)) {
+      if (child.userData.tool) child.visible = tool === null || tool === child.userData.tool;
+    }
+    this._ghosts.forEach((ghost) => ghost.couple(tool));
   }
 
   /** Move all links to the configuration q [rad or m]. */
@@ -67,9 +79,9 @@ export class RobotView {
     });
   }
 
-  /** T_world_tool of the first tool, as 16 numbers. */
+  /** T_world_tool of a hand, or of the present tool, as 16 numbers. */
   toolPose(index = 0) {
-    const tool = this.robot.tools[index];
+    const tool = this.robot.exchangeable?.[this.coupled] ?? this.robot.tools[index];
     return tool ? this.kinematics.carried(tool.joint, tool.T_joint_tool) : null;
   }
 
@@ -84,15 +96,21 @@ export class RobotView {
     const ghost = new RobotView(this.robot);
     this._groups.forEach((group, index) => {
       if (index === 0) return; // the base, which stays where it is
-      for (const { geometry } of group.children.filter((child) => child.userData.isLink)) {
-        ghost._groups[index].add(new THREE.Mesh(geometry, material));
+      for (const { geometry, userData, visible } of group.children.filter((child) => child.userData.isLink)) {
+        const mesh = new THREE.Mesh(geometry, material);
+        mesh.userData.tool = userData.tool;
+        mesh.visible = visible;
+        ghost._groups[index].add(mesh);
       }
     });
+    ghost.coupled = this.coupled;
+    this._ghosts.push(ghost);
     return ghost;
   }
 
-  /** All links that one joint carries are one mesh; the bodies among them are remembered by name. */
-  async _addLinks(joint, links, store, material) {
+  /** All links that one joint carries are one mesh, those of a tool another; bodies are remembered by name. */
+  async _addLinks(links, store, material) {
+    const { joint, tool } = links[0];
     const meshes = links.flatMap((link) => link.meshes.map((mesh) => ({ ...mesh, body: link.name })));
     const parts = await Promise.all(
       meshes.map(async (mesh) => ({
@@ -105,7 +123,7 @@ export class RobotView {
     if (!parts.length) return;
     const mesh = new THREE.Mesh(merge(parts), material);
     mesh.castShadow = mesh.receiveShadow = true;
-    mesh.userData.isLink = true;
+    Object.assign(mesh.userData, { isLink: true, tool });
     this.group(joint).add(mesh);
     for (const part of parts) {
       const known = this.bodies.get(part.body) ?? { group: this.group(joint), parts: [] };
@@ -162,13 +180,14 @@ const SAME = 1e-6; // rad or m
 export class Motion {
   /** @param views RobotView of each robot, in the order of the frames; stage Stage. */
   constructor(live, views, stage) {
-    Object.assign(this, { views, stage });
+    Object.assign(this, { views, stage, live });
     this._from = this._to = null;
     live.addEventListener("shown", ({ detail }) => this._take(detail));
     stage.beforeEach((now) => this._glide(now));
   }
 
   _take(frame) {
+    this.views.forEach((view, index) => view.couple(frame.robots[index].coupled ?? this.live.robot(view.name)?.coupled ?? null));
     this._from = this._to ? this.views.map((view) => view.q) : frame.robots.map(({ q }) => Array.from(q));
     this._to = frame.robots.map(({ q }) => Array.from(q));
     this._since = performance.now();
