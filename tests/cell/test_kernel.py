@@ -2,6 +2,7 @@
 
 import os
 import sys
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -9,13 +10,44 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from own_robot import write_cell, write_package
 from ran import ran
-from reference_proximity import ReferenceProximity
 from spans import draw_span
 
 from deltaq_cell import compiled_proximity
 from deltaq_cell.cell_model import CellModel
-from deltaq_cell.compiled_proximity import CompiledProximity
+from deltaq_cell.compiled_proximity import CompiledProximity, DistanceQuery
+from deltaq_cell.group import Group
 from deltaq_cell.kernel import look as kernel
+from deltaq_cell.proximity import ProximityEngine
+from deltaq_protocol.arrays import Array
+
+
+class ReferenceProximity(ProximityEngine):
+    """All bodies of a cell, placed in boxes of joint space and looked at in groups."""
+
+    def place(
+        self, robot: str, q: Array, half: Array, offsets: Array | None = None, deviation: Array | None = None
+    ) -> float:
+        """Place a robot in the box around a span, as `CompiledProximity.place` does."""
+        del offsets, deviation  # which only planes ask for
+        return super().place(robot, q, half)
+
+    def look(self, groups: Sequence[Group], room_m: float) -> DistanceQuery:
+        """The groups whose inflated bodies have less than `room_m` beyond their stop distance; see `CompiledProximity`.
+
+        Groups fail here that planes keep apart.
+        """
+        rooms = {group: self.least(group) - group.stop_distance_m for group in groups if not group.is_empty}
+        if not rooms:
+            return DistanceQuery([], False, None, 0.0)
+        failing = [group for group, room in rooms.items() if room < room_m]
+        too_near = any(
+            near.distance_m < group.stop_distance_m + room_m
+            for group in failing
+            for near in group.measured().values()
+        )
+        tightest = min(rooms, key=rooms.__getitem__)
+        return DistanceQuery(failing, too_near, tightest.nearest(), tightest.stop_distance_m)
+
 
 TOLERANCE_M = 2e-6
 """What the kernel's search and coal's may differ by."""
