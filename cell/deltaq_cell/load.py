@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import types
 from pathlib import Path
-from typing import Annotated, Any, Union, get_args, get_origin
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -14,9 +14,19 @@ from deltaq_cell.description import CellDescription
 from deltaq_cell.find import find_cell, is_file, resolve_near
 from deltaq_cell.models import SHIPPED, nearest_name
 from deltaq_cell.problems import CellError, Problem
-from deltaq_cell.yaml_tree import Scalar, YamlNode, cell_tree, merge, read, shown
+from deltaq_cell.yaml_tree import Scalar, YamlNode, cell_tree, merge, parse, read, shown
 
-__all__ = ["find_cell", "load_cell", "load_located", "load_with_text", "parse_cell", "resolve_near"]
+__all__ = [
+    "find_cell",
+    "load_as",
+    "load_cell",
+    "load_located",
+    "load_with_text",
+    "parse_cell",
+    "resolve_near",
+]
+
+Model = TypeVar("Model", bound=BaseModel)
 
 EXTENDS = "extends"
 """Key at the top of a cell file: another cell (by path beside it, or by name) that this one changes."""
@@ -40,7 +50,7 @@ def load_cell(name_or_path: str | Path) -> CellDescription:
 def load_located(name_or_path: str | Path) -> tuple[CellDescription, YamlNode]:
     """Like `load_cell`, with the tree that gives the file and line of every value."""
     tree = _read_with_bases(find_cell(name_or_path))[1]
-    return _validated(tree), tree
+    return _validated(tree, CellDescription), tree
 
 
 def parse_cell(text: str, source: str = "cell") -> CellDescription:
@@ -49,7 +59,7 @@ def parse_cell(text: str, source: str = "cell") -> CellDescription:
     Raises:
         CellError: the text has errors.
     """
-    return _validated(cell_tree(text, source))
+    return _validated(cell_tree(text, source), CellDescription)
 
 
 def load_with_text(name_or_path: str | Path) -> tuple[CellDescription, str]:
@@ -61,7 +71,7 @@ def load_with_text(name_or_path: str | Path) -> tuple[CellDescription, str]:
         CellError: no such cell, or its file has errors.
     """
     text, tree, extended = _read_with_bases(find_cell(name_or_path))
-    return _validated(tree), _merged(tree) if extended else text
+    return _validated(tree, CellDescription), _merged(tree) if extended else text
 
 
 def _merged(tree: YamlNode) -> str:
@@ -117,12 +127,25 @@ def _extends_error(node: YamlNode, message: str) -> CellError:
     return CellError([Problem(node.file, node.line, EXTENDS, message, value=shown(node.value))])
 
 
-def _validated(tree: YamlNode) -> CellDescription:
+def load_as(root: type[Model], path: Path) -> Model:
+    """What a YAML file of another kind than a cell's says.
+
+    Raises:
+        CellError: it cannot be read or has errors; the error lists all of them.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise CellError([Problem(str(path), 0, "", f"cannot be read: {error}")]) from None
+    return _validated(parse(text, path.name), root)
+
+
+def _validated(tree: YamlNode, root: type[Model]) -> Model:
     try:
         # as JSON, because strict validation takes JSON's lists for tuples but no text for numbers
-        return CellDescription.model_validate_json(json.dumps(tree.plain()), strict=True)
+        return root.model_validate_json(json.dumps(tree.plain()), strict=True)
     except ValidationError as error:
-        problems = (problem_of(tree, dict(item), CellDescription) for item in error.errors())
+        problems = (problem_of(tree, dict(item), root) for item in error.errors())
         raise CellError(sorted(problems, key=lambda problem: (problem.file, problem.line))) from None
 
 

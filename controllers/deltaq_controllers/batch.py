@@ -12,17 +12,19 @@ from deltaq_cell.robot import RobotModel
 from deltaq_protocol.arrays import Array
 
 
-@dataclass(frozen=True)
+@dataclass
 class FrameBatch:
     """Joint frames of N configurations, in world coordinates.
 
     Attributes:
         rotation: per joint (N, 3, 3).
         position: per joint (N, 3) [m].
+        columns: what `BatchKinematics.columns` returns, once it has been asked for.
     """
 
     rotation: list[Array]
     position: list[Array]
+    columns: tuple[Array, Array] | None = None
 
 
 class BatchKinematics:
@@ -115,8 +117,17 @@ class BatchKinematics:
 
     def columns(self, frames: FrameBatch) -> tuple[Array, Array]:
         """Per joint its axis (N, n, 3) and the position of its frame (N, n, 3), in world coordinates."""
-        axes = np.stack([R @ axis for R, axis in zip(frames.rotation, self.axes, strict=True)], axis=1)
-        return axes, np.stack(frames.position, axis=1)
+        if frames.columns is None:
+            axes = np.stack([R @ axis for R, axis in zip(frames.rotation, self.axes, strict=True)], axis=1)
+            frames.columns = axes, np.stack(frames.position, axis=1)
+        return frames.columns
+
+    def hand_jacobians(self, frames: FrameBatch) -> Array:
+        """(N, h, 6, n) Jacobian of each hand, linear over angular, world axes; all joints are placed."""
+        points = [
+            (joint, frames.position[joint] + frames.rotation[joint] @ place) for joint, _, place in self.hands
+        ]
+        return np.stack([self.jacobian(frames, *point) for point in points], axis=1)
 
     def jacobian(self, frames: FrameBatch, joint: int, points: Array) -> Array:
         """(N, 6, n) Jacobian of a point that a joint carries, linear over angular, world axes.

@@ -16,7 +16,7 @@ import numpy as np
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.advisor.process import AdvisorProcess
 from deltaq_controllers.answers import Answers, lease
-from deltaq_controllers.criteria.postures import RobotData
+from deltaq_controllers.criteria.formulas import RobotData
 from deltaq_controllers.criteria.table import check_known
 from deltaq_controllers.live import (
     ControlStatistics,
@@ -31,9 +31,10 @@ from deltaq_controllers.modes.advisor import AdvisorMode, tracker_of
 from deltaq_controllers.modes.hand_modes import CoupledMode, weighed
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.practice import practise
-from deltaq_controllers.modes.teleoperator import MODES, Teleoperator
+from deltaq_controllers.modes.teleoperator import MODES, ModeTable, Teleoperator
 from deltaq_controllers.operator_input.interface import OperatorInput
 from deltaq_controllers.surroundings.surroundings import RobotSurroundings
+from deltaq_controllers.task import NO_TASK, Task
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell
 from deltaq_protocol.driving import DrivingMode, Frame, Grip, OperatorCommand
@@ -51,7 +52,7 @@ def teleoperator_for(
     stack: ExitStack,
     mode: DrivingMode = DrivingMode.JOINT,
     frame: Frame = Frame.WORLD,
-    weights: Mapping[str, float] | None = None,
+    task: Task = NO_TASK,
     jerk_time_s: float = 0.0,
     trade_off: tuple[str, str] | None = None,
     hands_may_leave: bool | None = False,
@@ -64,7 +65,7 @@ def teleoperator_for(
         stack: ends background work of the modes.
         mode: to begin with.
         frame: axes in which hands are moved.
-        weights: of the criteria of `coupled` and `advisor`; their own if not given.
+        task: of `coupled` and `advisor`.
         jerk_time_s: time in which a joint's acceleration builds up to its limit; 0 sets no limit to the jerk [s].
         trade_off: names of two criteria; the advisor's options are on their Pareto front; None: they are minima.
         hands_may_leave: whether hands may leave their poses on the path to an option of the advisor, and return;
@@ -72,7 +73,8 @@ def teleoperator_for(
 
     Raises:
         ControllerError: the robot is unknown, or cannot be driven in that mode.
-        CriterionError: an unknown criterion, or a weight that is negative or not finite.
+        CriterionError: an unknown criterion.
+        TaskError: the cell or the robot does not have what the task names.
     """
     for name in trade_off or ():
         check_known(name)
@@ -81,19 +83,18 @@ def teleoperator_for(
 
     def advisor_mode(robot: RobotModel) -> AdvisorMode:
         others = where_others_are(running, robot.name)
-        tracker = tracker_of(robot, hands_may_leave in (True, None))
-        advisor = AdvisorProcess(description, tracker, others, weights)
+        tracker = tracker_of(robot, hands_may_leave in (True, None), task)
+        advisor = AdvisorProcess(description, tracker, others)
         mode = AdvisorMode(robot, description.cycle_s, stack.enter_context(advisor))
         mode.trade_off = trade_off
         mode.hands_may_leave = not len(tracker.base) if hands_may_leave is None else hands_may_leave
         return mode
 
-    modes = {**MODES, DrivingMode.ADVISOR: advisor_mode}
-    cell = cell_model(description)
-    if weights is not None:
-        modes[DrivingMode.COUPLED] = partial(
-            CoupledMode, criteria=(weighed(RobotData(cell, robot), weights),)
-        )
+    cell = task.seen(cell_model(description))
+    task.check_hands(model)
+    criteria = None if task.weights is None else (weighed(RobotData(cell, robot, task=task), task.weights),)
+    coupled = partial(CoupledMode, criteria=criteria, task=task)
+    modes: ModeTable = {**MODES, DrivingMode.ADVISOR: advisor_mode, DrivingMode.COUPLED: coupled}
     around = RobotSurroundings(cell, robot)
     return Teleoperator(model, description.cycle_s, mode, frame, modes, around, jerk_time_s)
 

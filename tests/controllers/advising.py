@@ -9,7 +9,7 @@ from driving import CYCLE_S
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.advisor.session import AdvisorSession, SynchronousAdvisor
-from deltaq_controllers.criteria.postures import RobotData
+from deltaq_controllers.criteria.formulas import RobotData
 from deltaq_controllers.modes.advisor import Advisor, AdvisorMode, tracker_of
 from deltaq_controllers.modes.hand_modes import CoupledMode, weighed
 from deltaq_controllers.modes.teleoperator import MODES, Teleoperator

@@ -38,6 +38,7 @@ from deltaq_controllers.live import ControlStatistics, drive
 from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.interface import OperatorInput
+from deltaq_controllers.task import Task
 from deltaq_controllers.teleoperation import DriveLog, SignalLog, teleoperate, teleoperator_for
 from deltaq_deploy.command.drive_display import Display
 from deltaq_protocol.client import Cell
@@ -240,7 +241,7 @@ async def by_hand(
     cell: QuietCell, robot: str, modes: Iterable[DrivingMode], weights: Mapping[str, float] | None = None
 ) -> None:
     with ExitStack() as stack:
-        teleoperator = teleoperator_for(cell, robot, stack, weights=weights)
+        teleoperator = teleoperator_for(cell, robot, stack, task=Task(weights=weights))
         teleoperator.make_modes()
         operator = everything(teleoperator, modes)
         log, signals = DriveLog(teleoperator, cell.description.cycle_s), SignalLog()

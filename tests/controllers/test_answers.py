@@ -22,6 +22,7 @@ from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.live import ControlStatistics, drive
 from deltaq_controllers.modes.advisor import tracker_of
 from deltaq_controllers.robot_clocks import RobotClocks
+from deltaq_controllers.task import Task
 from deltaq_protocol import connect
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell
@@ -269,7 +270,9 @@ OTHERS = {"fr": LAB.robots["fr"].home}
 
 def advisor(**weights: float) -> AdvisorProcess:
     return AdvisorProcess(
-        CellModel.load("lab").description_message(), tracker_of(GR), lambda: OTHERS, weights or None
+        CellModel.load("lab").description_message(),
+        tracker_of(GR, task=Task(weights=weights or None)),
+        lambda: OTHERS,
     )
 
 

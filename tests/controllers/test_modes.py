@@ -9,8 +9,8 @@ from driving import CYCLE_S, PlainDrive, StackDrive, model
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
+from deltaq_controllers.criteria.formulas import Postures, RobotData
 from deltaq_controllers.criteria.near_bodies import FAR_M, PairKind
-from deltaq_controllers.criteria.postures import Postures, RobotData
 from deltaq_controllers.criteria.table import Normalised
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.limits import IncrementLimits

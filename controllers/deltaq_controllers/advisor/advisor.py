@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 
 from deltaq_controllers.advisor.component import STEPS, Component
-from deltaq_controllers.advisor.exact import LIMIT_MARGIN, LIMIT_SHARE, ExactClearance, HandsKept, HandsMoved
+from deltaq_controllers.advisor.exact import ExactClearance, HandsKept, HandsMoved, limit_margin
 from deltaq_controllers.advisor.path_planner import NoPathError, PathPlanner, Tree
 from deltaq_controllers.advisor.problem import AdvisorError, AdvisorProblem
 from deltaq_controllers.advisor.search import DISTINCT, Pool, check_method, search
@@ -107,6 +107,7 @@ class Option:
         hands_leave: whether hands that stay in place leave their poses on the path and come back.
         energy_here: energy of the configuration from which the advisor was asked.
         nearest: for each kind of near body, the nearest pair whose distance the hands' poses do not determine.
+        places: (h, 4, 4) the given poses of the hands; None where they do not matter.
     """
 
     q: Array
@@ -123,6 +124,7 @@ class Option:
     hands_leave: bool = False
     energy_here: float = float("nan")
     nearest: Mapping[PairKind, Clearance] = field(default_factory=dict)
+    places: Array | None = None
 
     @classmethod
     def along(cls, path: Array, clearance: Clearance, hands_move: bool = True) -> Self:
@@ -197,8 +199,10 @@ def advise(
 
     Raises:
         AdvisorError: unknown method, or a front with the hands elsewhere.
+        TaskError: a hand is to be outside its region.
         CriterionError: a front of an unknown criterion.
     """
+    problem.task.check_region(problem.robot.hands, problem.poses)
     exact = exact or ExactClearance(problem.cell, problem.robot.name)
     return _Answer(problem, present, generator, options, exact, go_on).found(method, effort, trade_off)
 
@@ -216,6 +220,7 @@ class _Answer:
         go_on: Callable[[Progress], bool],
     ) -> None:
         self._problem, self._present, self._generator = problem, present, generator
+        self._driven = problem.tracker.driven
         self._count, self._exact, self._go_on = count, exact, go_on
         self._ended = False
         self._best = float("inf")
@@ -223,15 +228,17 @@ class _Answer:
     def found(self, method: str, effort: float, trade_off: tuple[str, str] | None) -> list[Option]:
         problem, present = self._problem, self._present
         check_method(method)
-        moved = PathPlanner(problem.robot, HandsMoved(problem.robot), self._exact, self._generator, present)
-        if not hands_are_there(problem, present):
+        own = problem.tracker.own
+        moved = PathPlanner(own, HandsMoved(own, problem.task), self._exact, self._generator, present)
+        start = problem.tracker.with_tolerances(present, problem.poses)
+        if not hands_are_there(problem, start):
             if trade_off is not None:
                 raise AdvisorError("a trade-off is looked for with the hands in place; leave out their poses")
             pool = self._searched(method, effort)
             found = self._described(*self._clear(pool, self._count), hands_move=True, hands_leave=False)
-            return self._with_paths(found, moved, moved)
+            return self._with_paths(differing(found), moved, moved)
         space = HandsKept(problem.tracker, problem.poses)
-        kept = PathPlanner(problem.robot, space, self._exact, self._generator, present)
+        kept = PathPlanner(problem.robot, space, self._exact, self._generator, start)
         found = self._reached(kept.tree, effort, trade_off)
         if problem.hands_may_leave and trade_off is None:
             found = differing(found + self._left(self._searched(method, effort), found))
@@ -258,7 +265,7 @@ class _Answer:
     def _left(self, pool: Pool, known: list[Option]) -> list[Option]:
         """Options to which the hands leave: on other branches, or turned by a whole turn, or behind something."""
         q, energy = self._clear(pool, self._count + len(known))
-        other = np.abs(q - self._present).max(axis=1, initial=0.0) > DISTINCT
+        other = np.abs(q[:, : self._driven] - self._present).max(axis=1, initial=0.0) > DISTINCT
         q, energy = q[other][: self._count], energy[other][: self._count]
         return self._described(q, energy, hands_move=True, hands_leave=True)
 
@@ -267,9 +274,8 @@ class _Answer:
             self._best = min(self._best, energy)
             return self._ask(doing, done)
 
-        robot = self._problem.robot
-        margin = np.maximum(LIMIT_MARGIN, LIMIT_SHARE * (robot.upper - robot.lower))
-        return search(self._problem.inside(margin), self._generator, method, effort, go_on)
+        inside = self._problem.inside(limit_margin(self._problem.robot))
+        return search(inside, self._generator, method, effort, go_on)
 
     def _clear(self, pool: Pool, count: int) -> tuple[Array, Array]:
         """The best of a pool that are clear by the exact shapes."""
@@ -294,11 +300,13 @@ class _Answer:
             option = found[number]
             if sum(known.path is not None for known in found) == self._count:
                 break
-            ways = moved if option.hands_move else kept
+            ways, goal = moved, option.q
+            if not option.hands_move:
+                ways, goal = kept, self._problem.tracker.with_tolerances(goal, self._problem.poses)
             try:
                 is_here = (option.q == self._present).all()
-                path = self._present[None] if is_here else ways.to(option.q, lambda: not self._ended)
-                found[number] = replace(option, path=path, no_path="")
+                path = self._present[None] if is_here else ways.to(goal, lambda: not self._ended)
+                found[number] = replace(option, path=path[:, : self._driven], no_path="")
             except NoPathError as error:
                 found[number] = replace(option, no_path=str(error))
             self._ask("finding paths", (number + 1) / len(found), tuple(found) if is_settled else ())
@@ -315,8 +323,8 @@ class _Answer:
     def _described(self, q: Array, energy: Array, *, hands_move: bool, hands_leave: bool) -> list[Option]:
         if not len(q):
             return []
-        problem, robot = self._problem, self._problem.robot
-        postures = Postures(problem.data, q)
+        problem, robot = self._problem, self._problem.data.robot
+        postures, q = Postures(problem.data, q), q[:, : self._driven]
         values = {criterion.name: criterion.value(postures) for criterion in TABLE}
         costs = {
             criterion.name: cost(criterion, problem.references[criterion.name], values[criterion.name])
@@ -339,6 +347,7 @@ class _Answer:
                 hands_leave=hands_leave,
                 energy_here=here,
                 nearest=problem.data.bodies.nearest(q[row]),
+                places=problem.poses,
             )
             for row in range(len(q))
         ]

@@ -15,7 +15,6 @@ import numpy as np
 from deltaq_controllers.advisor.path_planner import Tree
 from deltaq_controllers.advisor.problem import AdvisorProblem
 from deltaq_controllers.advisor.search import DISTINCT, descend
-from deltaq_controllers.criteria import Postures
 from deltaq_protocol.arrays import Array, Flags, Indices
 
 ROUNDS = 16
@@ -105,7 +104,7 @@ class Component:
         Their edges hold. Another energy (K,) of the nodes may be given.
         """
         energy = self.energy if energy is None else energy
-        q, left = self.tree.q, np.isfinite(energy)
+        q, left = self.tree.q[:, : self._problem.tracker.driven], np.isfinite(energy)
         for node in known:
             left &= np.abs(q - q[node]).max(axis=1) > apart
         chosen: list[int] = []
@@ -145,7 +144,7 @@ class Component:
 
     def _singular(self, q: Array) -> Array:
         """(N,) least singular value of the Jacobian of any arm at configurations (N, n)."""
-        J = Postures(self._problem.data, q).jacobians
+        J = self._problem.jacobians(q)
         arms = self._problem.tracker.arms
         least = [
             np.linalg.svd(J[:, k][:, :, arm.joints], compute_uv=False)[:, -1] for k, arm in enumerate(arms)

@@ -20,6 +20,7 @@ from deltaq_cell.robot import RobotModel
 from deltaq_controllers.criteria.near_bodies import Clearance, Screen, least_gaps
 from deltaq_controllers.inverse.tracking import ConstraintTracker
 from deltaq_controllers.kinematics import placement_views
+from deltaq_controllers.task import NO_TASK, Task
 from deltaq_protocol.arrays import Array, Flags, Indices
 
 MEASURED = 12
@@ -27,7 +28,7 @@ MEASURED = 12
 
 
 class ExactClearance:
-    """Measures one robot of a cell, the others standing still.
+    """Measures one robot of a cell, the others standing still; tolerances in configurations do not count.
 
     Args:
         cell: model of the cell.
@@ -45,7 +46,7 @@ class ExactClearance:
     ) -> None:
         self._proximity = ProximityEngine(cell)
         self._proximity.leave_out(left_out)
-        self._robot = robot
+        self._robot, self._n = robot, cell.robots[robot].n
         self._groups = list(self._proximity.alone[robot])
         for name in cell.robots:
             if name != robot:
@@ -63,15 +64,15 @@ class ExactClearance:
 
     def keeps(self, q: Array, room_m: float = 0.0) -> bool:
         """Whether all configurations (N, n) have more than `room_m` beyond the stop distances; stops at the first."""
-        return self._kept.at(q, room_m)
+        return self._kept.at(q[:, : self._n], room_m)
 
     def kept(self, q: Array, room_m: float = 0.0) -> Flags:
         """(N,) whether each of the configurations (N, n) has more than `room_m` beyond the stop distances."""
-        return np.array([self._kept.at(one[None], room_m) for one in q], dtype=np.bool_)
+        return np.array([self._kept.at(one[None, : self._n], room_m) for one in q], dtype=np.bool_)
 
     def measure(self, q: Array) -> Clearance:
         """The tightest pair at configuration `q` (n,)."""
-        self._proximity.place(self._robot, q, np.zeros(len(q)))
+        self._proximity.place(self._robot, q[: self._n], np.zeros(self._n))
         tightest = min(self._groups, key=lambda group: self._proximity.least(group) - group.stop_distance_m)
         near = tightest.nearest()
         return Clearance(near.swept_m - tightest.stop_distance_m, near.distance_m, near.pair)
@@ -203,15 +204,21 @@ class HandsKept:
 
 
 class HandsMoved:
-    """All joints free, the hands wherever that takes them."""
+    """All joints free, the hands wherever that takes them within the regions of a task."""
 
-    def __init__(self, robot: RobotModel) -> None:
+    def __init__(self, robot: RobotModel, task: Task = NO_TASK) -> None:
         self.free = np.arange(robot.n)
+        self._regions = [(hand, region) for hand in robot.hands if (region := task.region(hand)) is not None]
+        self._robot = robot
 
     def walk(self, origin: Array, target: Array, pieces: int) -> Array:
         """Straight in the joints."""
         shares = np.linspace(0.0, 1.0, pieces + 1)[:, None]
         way: Array = origin[:, None] + shares * (target - origin)[:, None]
+        for hand, region in self._regions:
+            flat = way[:, 1:].reshape(-1, way.shape[2])
+            places = np.array([self._robot.forward(q, hand)[:3, 3] for q in flat])
+            way[:, 1:][~region.holds(places).reshape(way.shape[0], -1)] = np.nan
         return way
 
     def placed(self, free: Array, _near: Array) -> Array:
@@ -248,6 +255,13 @@ SAMPLED = 6
 """Of so many configurations of a path one is looked at first: most blocked paths are blocked over a good part."""
 
 
+def limit_margin(robot: RobotModel) -> Array:
+    """(n,) margin to the limits of the joints [rad or m]; of a narrow tolerance a tenth of its range."""
+    extent = robot.upper - robot.lower
+    margin: Array = np.minimum(np.maximum(LIMIT_MARGIN, LIMIT_SHARE * extent), 0.1 * extent)
+    return margin
+
+
 class MotionValidator:
     """Where paths between some configurations may pass.
 
@@ -270,7 +284,7 @@ class MotionValidator:
         room_m = min(exact.measure(q).room_m for q in ends)
         self.margin_m = float(np.clip(0.8 * room_m, 0.0, wider * MARGIN_M))
         self._limits = robot.lower, robot.upper
-        self._margin = np.maximum(LIMIT_MARGIN, LIMIT_SHARE * (robot.upper - robot.lower))
+        self._margin = limit_margin(robot)
         self._lowest, self._highest = ends.min(axis=0), ends.max(axis=0)
 
     def within(self, q: Array, share: float = 1.0) -> Flags:

@@ -58,13 +58,15 @@ class AdvisorProblem:
         cell: model of the cell.
         robot: name of the robot.
         T_world_hands: (h, 4, 4) where its hands should be.
-        weights: of the criteria.
-        tracker: of the robot, where there is one already.
+        weights: of the criteria; by default those of the tracker's task, and `WEIGHTS` if it has none.
+        tracker: of the robot and its task, where there is one already.
         others: (n,) configuration of each other robot; at home if not given.
         hands_may_leave: whether hands that stay in place may leave their poses on the path, and come back.
 
     Attributes:
         tracker, hands_may_leave: as given.
+        robot: the tracker's, with a joint for each tolerance of the task; configurations contain these.
+        task: the tracker's.
         data: of the robot, for the criteria.
         weights: of the criteria, as given or `WEIGHTS`.
         energy: the weighted sum.
@@ -89,14 +91,16 @@ class AdvisorProblem:
     ) -> None:
         if robot not in cell.robots:
             raise AdvisorError(f"the cell has no robot {robot!r}; it has {', '.join(cell.robots)}")
-        self.cell, self.robot = cell, cell.robots[robot]
-        self.tracker = tracker or ConstraintTracker(self.robot)
+        self.cell = cell
+        self.tracker = tracker or ConstraintTracker(cell.robots[robot])
+        self.robot, self.task = self.tracker.robot, self.tracker.task
         standing = {name: model.home for name, model in cell.robots.items()} | dict(others or {})
-        self.data = RobotData(cell, robot, kinematics=self.tracker.kinematics, others=standing)
+        own = self.tracker.kinematics if self.robot.n == self.tracker.driven else None
+        self.data = RobotData(cell, robot, kinematics=own, others=standing, task=self.task)
         self.hands_may_leave = hands_may_leave
         self._check_redundant()
         self.poses = _checked(T_world_hands, len(self.robot.hands))
-        if weights is None:
+        if (weights := weights or self.task.weights) is None:
             weights = {
                 name: weight for name, weight in WEIGHTS.items() if name != ROBOTS or len(cell.robots) > 1
             }
@@ -226,6 +230,10 @@ class AdvisorProblem:
         energy: Array = self.energy.total(postures)
         energy[postures.near.row[postures.near.room <= 0.0]] = np.inf
         return energy
+
+    def jacobians(self, q: Array) -> Array:
+        """(N, h, 6, n) of the hands' places at configurations (N, n), linear over angular, world axes."""
+        return self.tracker.kinematics.hand_jacobians(self.tracker.kinematics.frames(q))
 
 
 def _checked(poses: Array, hands: int) -> Array:

@@ -16,6 +16,7 @@ from deltaq_controllers.advisor.advisor import Progress
 from deltaq_controllers.advisor.session import AdvisorSession
 from deltaq_controllers.inverse.tracking import ConstraintTracker
 from deltaq_controllers.live import cell_model
+from deltaq_controllers.task import Task
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import Description
@@ -67,7 +68,6 @@ class AdvisorProcess:
         description: of the cell, from its HLI.
         tracker: of the robot.
         others: returns where the other robots of the cell are now.
-        weights: of the criteria; the advisor's own if not given.
 
     Attributes:
         tracker: as given.
@@ -78,7 +78,6 @@ class AdvisorProcess:
         description: Description,
         tracker: ConstraintTracker,
         others: Callable[[], Mapping[str, Array]],
-        weights: Mapping[str, float] | None = None,
     ) -> None:
         self.tracker = tracker
         self._others = others
@@ -87,7 +86,7 @@ class AdvisorProcess:
         context = multiprocessing.get_context("spawn")
         self._line, theirs = context.Pipe()
         self._process = context.Process(
-            target=_serve, args=(theirs, description, tracker.robot.name, weights), daemon=True
+            target=_serve, args=(theirs, description, tracker.robot.name, tracker.task), daemon=True
         )
         self._process.start()
         theirs.close()
@@ -165,11 +164,11 @@ def _serve(
     line: Connection,
     description: Description,
     robot: str,
-    weights: Mapping[str, float] | None,
+    task: Task,
 ) -> None:
     """Answer questions until the pipe is closed; a new one ends the one before."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the loop, which ends this process
-    counsel, trouble = _counsel(description, robot, weights)
+    counsel, trouble = _counsel(description, robot, task)
     try:
         line.send(_Answer(_READY, is_over=True))
         while True:
@@ -189,12 +188,10 @@ def _serve(
         return
 
 
-def _counsel(
-    description: Description, robot: str, weights: Mapping[str, float] | None
-) -> tuple[AdvisorSession | None, str]:
+def _counsel(description: Description, robot: str, task: Task) -> tuple[AdvisorSession | None, str]:
     """The advisor, made before the first question, which then need not wait for it; or why it cannot be made."""
     try:
-        return AdvisorSession(cell_model(description), robot, weights), ""
+        return AdvisorSession(cell_model(description), robot, task), ""
     except DeltaqError as error:
         return None, str(error)
 

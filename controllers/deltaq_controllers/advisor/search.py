@@ -32,11 +32,12 @@ RADIUS = 0.4
 def reduced_gradient(problem: AdvisorProblem, q: Array) -> Array:
     """(N, m) gradient of the energy by the free joints, at configurations (N, n)."""
     postures = Postures(problem.data, q)
-    by_joint = problem.energy.gradient(postures)
-    base = problem.tracker.base
+    by_joint = np.zeros_like(q)
+    by_joint[:, : problem.tracker.driven] = problem.energy.gradient(postures)
+    base, jacobians = problem.tracker.base, problem.jacobians(q)
     gradient: Array = by_joint[:, base].copy()
     for hand, arm in enumerate(problem.tracker.arms):
-        J = postures.jacobians[:, hand]
+        J = jacobians[:, hand]
         J_arm, J_base = J[:, :, arm.joints], J[:, :, base]
         square = J_arm @ J_arm.transpose(0, 2, 1) + DAMPING * np.eye(6)
         # dE/dq_arm J_arm^-1 J_base, from the left
@@ -74,15 +75,18 @@ def descend(
     count, m, base = len(q), problem.free, problem.tracker.base
     if not count or not m:
         return q, energy
-    H = np.tile(np.eye(m), (count, 1, 1))
+    # a narrow range is a small unit, and what a limit bars is no way down
+    scale = np.minimum(1.0, problem.upper - problem.lower)
+    H = np.tile(np.diag(scale**2), (count, 1, 1))
     radius = np.full(count, RADIUS)
     gradient = reduced_gradient(problem, q)
     rows = np.arange(count)
     for _ in range(steps):
-        step = -(H @ gradient[:, :, None])[:, :, 0]
+        barred = np.where(gradient > 0.0, q[:, base] <= problem.lower, q[:, base] >= problem.upper)
+        step = -(H @ np.where(barred, 0.0, gradient)[:, :, None])[:, :, 0]
         step *= np.minimum(1.0, radius / np.maximum(np.linalg.norm(step, axis=1), 1e-12))[:, None]
         blind = generator.normal(size=(count, 1, m))
-        blind *= radius[:, None, None] / np.linalg.norm(blind, axis=2, keepdims=True)
+        blind *= scale * radius[:, None, None] / np.linalg.norm(blind, axis=2, keepdims=True)
         tries = np.concatenate([step[:, None] * LENGTHS[:, None], blind], axis=1)
         u = np.clip(q[:, None, base] + tries, problem.lower, problem.upper)
         reference = np.repeat(q, u.shape[1], axis=0)
@@ -100,7 +104,7 @@ def descend(
         radius = np.where(
             better, np.minimum(RADIUS, 1.5 * np.linalg.norm(moved, axis=1) + 0.3 * radius), 0.35 * radius
         )
-        H[~better] = np.eye(m)
+        H[~better] = np.diag(scale**2)
     return q, energy
 
 

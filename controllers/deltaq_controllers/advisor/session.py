@@ -14,6 +14,7 @@ from deltaq_controllers.advisor.path_planner import NoPathError, PathPlanner
 from deltaq_controllers.advisor.problem import AdvisorProblem
 from deltaq_controllers.criteria.near_bodies import Clearance
 from deltaq_controllers.inverse.tracking import ConstraintTracker
+from deltaq_controllers.task import NO_TASK, Task
 from deltaq_protocol.arrays import Array
 
 GoOn = Callable[[Progress], bool]
@@ -25,7 +26,7 @@ class AdvisorSession:
     Args:
         cell: model of the cell.
         robot: name of the robot.
-        weights: of the criteria; the advisor's own if not given.
+        task: what the hands have to do.
         options: how many at most.
         effort: of the search.
         seed: of the search.
@@ -43,19 +44,19 @@ class AdvisorSession:
         self,
         cell: CellModel,
         robot: str,
-        weights: Mapping[str, float] | None = None,
+        task: Task = NO_TASK,
         *,
         options: int = 5,
         effort: float = 1.0,
         seed: int = 0,
     ) -> None:
-        self.tracker = ConstraintTracker(cell.robots[robot])
+        cell = task.seen(cell)
+        self.tracker = ConstraintTracker(cell.robots[robot], task)
         self._problem = AdvisorProblem(
             cell,
             robot,
-            self.tracker.hands(cell.robots[robot].home),
-            weights,
-            self.tracker,
+            self.tracker.hands(self.tracker.own.home),
+            tracker=self.tracker,
             hands_may_leave=True,
         )
         self._exact = ExactClearance(cell, robot)
@@ -115,14 +116,15 @@ class AdvisorSession:
         """
         self._exact.place(others)
         first = self._first[rank - 1]
-        robot = self.tracker.robot
-        kept: Space = HandsKept(self.tracker, self._problem.poses)
-        away = self._leaves(back[:1])
-        space = HandsMoved(robot) if first.hands_move or away else kept
+        tracker, poses = self.tracker, self._problem.poses
+        moves = first.hands_move or self._leaves(back[:1])
+        space: Space = HandsMoved(tracker.own, tracker.task) if moves else HandsKept(tracker, poses)
 
         def path(start: Array) -> Array:
-            ways = PathPlanner(robot, space, self._exact, self._generator, start)
-            return ways.to(first.q, lambda: go_on(self._progress))
+            ends = [q if moves else tracker.with_tolerances(q, poses) for q in (start, first.q)]
+            robot = tracker.own if moves else tracker.robot
+            ways = PathPlanner(robot, space, self._exact, self._generator, ends[0])
+            return ways.to(ends[1], lambda: go_on(self._progress))[:, : tracker.driven]
 
         try:
             try:
@@ -150,8 +152,9 @@ class AdvisorSession:
         """Whether the hands leave their place on a path (P, n); they do not where they may not."""
         if not self._problem.hands_may_leave:
             return False
-        places = self._problem.poses[:, :3, 3]
-        return any(np.abs(self.tracker.hands(q)[:, :3, 3] - places).max() > IN_PLACE_M for q in path)
+        poses, tracker = self._problem.poses, self.tracker
+        hands = (tracker.hands(tracker.with_tolerances(q, poses)) for q in path)
+        return any(np.abs((at - poses)[:, :3, 3]).max() > IN_PLACE_M for at in hands)
 
 
 IN_PLACE_M = 1e-3
@@ -245,8 +248,8 @@ _NEAR = 0.01
 
 def near_home(tracker: ConstraintTracker) -> Option:
     """The base joints a little off the robot's home."""
-    home = tracker.robot.home
+    home = tracker.own.home
     end = home.copy()
-    end[tracker.base] += _NEAR
+    end[tracker.base[tracker.base < tracker.driven]] += _NEAR
     nothing_near = Clearance(room_m=0.0, distance_m=0.0, pair=("", ""))
     return Option.along(np.array([home, end]), nothing_near, hands_move=False)

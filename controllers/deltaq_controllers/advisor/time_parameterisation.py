@@ -18,8 +18,14 @@ TAKEN_BACK_CYCLES = 20.0
 """Cycles in which a deviation from the path after a brake is corrected."""
 
 
-def timed(path: Array, tracker: ConstraintTracker, cycle_s: float, hands_move: bool = False) -> Array:
-    """Setpoints of every cycle, with the hands exactly at their poses at the path's start unless they move.
+def timed(
+    path: Array,
+    tracker: ConstraintTracker,
+    cycle_s: float,
+    hands_move: bool = False,
+    T_world_hands: Array | None = None,
+) -> Array:
+    """Setpoints of every cycle, with the hands exactly in place unless they move.
 
     Over the path's length s the speed is bounded by the joints' speeds, `|q'| v <= share v_max`, and their
     accelerations, half of which go to bends, `|q''| v^2`, and half to speeding up and slowing down, `|q'| dv/dt`.
@@ -29,15 +35,17 @@ def timed(path: Array, tracker: ConstraintTracker, cycle_s: float, hands_move: b
         tracker: of the robot.
         cycle_s: sample time.
         hands_move: whether the path takes the hands elsewhere.
+        T_world_hands: (h, 4, 4) where the hands are kept; by default where they are at the path's start.
 
     Returns:
-        (T, n) setpoints from the path's start to its end, at rest at both.
+        (T, n) setpoints from the path's start to its end, at rest at both; with the tolerances of the tracker's task
+        after the joints if the hands are kept.
     """
-    setpoints = _timed(path, tracker.robot, cycle_s)
     if hands_move:
-        return setpoints
-    base = setpoints[:, tracker.base]
-    held = tracker.track(base, tracker.hands(path[0]), setpoints)
+        return _timed(path, tracker.robot, cycle_s)
+    places = tracker.hands(path[0]) if T_world_hands is None else T_world_hands
+    setpoints = _timed(np.array([tracker.with_tolerances(q, places) for q in path]), tracker.robot, cycle_s)
+    held = tracker.track(setpoints[:, tracker.base], places, setpoints)
     # the ends are where the robot is and should be, to the bit
     between = np.array(np.isfinite(held).all(axis=1))
     between[[0, -1]] = False
@@ -54,10 +62,11 @@ def _timed(path: Array, robot: RobotModel, cycle_s: float) -> Array:
     s = np.append(0.0, np.cumsum(lengths))
     slope = np.abs(np.diff(path, axis=0) / lengths[:, None])
     signed = np.diff(path, axis=0) / lengths[:, None]
-    fastest = (SHARE * robot.max_velocity / np.maximum(slope, 1e-9)).min(axis=1)
-    pull = (0.5 * SHARE * robot.max_acceleration / np.maximum(slope, 1e-9)).min(axis=1)
+    velocity, acceleration = robot.max_velocity[: path.shape[1]], robot.max_acceleration[: path.shape[1]]
+    fastest = (SHARE * velocity / np.maximum(slope, 1e-9)).min(axis=1)
+    pull = (0.5 * SHARE * acceleration / np.maximum(slope, 1e-9)).min(axis=1)
     bend = np.abs(np.diff(signed, axis=0)) / (0.5 * (lengths[1:] + lengths[:-1]))[:, None]
-    at_bend = np.sqrt((0.5 * SHARE * robot.max_acceleration / np.maximum(bend, 1e-9)).min(axis=1))
+    at_bend = np.sqrt((0.5 * SHARE * acceleration / np.maximum(bend, 1e-9)).min(axis=1))
     v = np.zeros(len(path))
     v[1:-1] = np.minimum(np.minimum(fastest[1:], fastest[:-1]), at_bend)
     for k in range(1, len(v)):

@@ -1,29 +1,183 @@
-"""The formulas of the table, each a function of N configurations whose values are (N,).
+"""Configurations of a robot, and the formulas of the table: each a function of N configurations whose values are (N,).
 
 A cell's description has no torque limits. The torque that gives a joint its described acceleration with the robot at
 home, `M_jj a_j`, stands in: a drive has at least that. Forces and loads are in this measure.
 """
 
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Mapping
+from functools import cached_property, partial
 
 import numpy as np
 
-from deltaq_controllers.criteria.near_bodies import FAR_M, SOFT_M, PairKind
-from deltaq_controllers.criteria.postures import Postures
+from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.batch import BatchKinematics, FrameBatch
+from deltaq_controllers.criteria.near_bodies import FAR_M, SOFT_M, MeasuredPairs, NearBodies, PairKind
+from deltaq_controllers.task import NO_TASK, Task
 from deltaq_protocol.arrays import Array, Flags
+
+# Configurations with everything that criteria need of them, computed once and only on demand.
+
+STIFFNESS_RAD, STIFFNESS_M = 1e5, 1e7
+"""Joint stiffness where none is given: stand-ins [N m/rad and N/m]."""
+
+GRAVITY_M_S2 = 9.80665
+
+ROTOR_RAD, ROTOR_M = 0.05, 1.0
+"""What a joint's drive adds to the mass matrix, seen through its gear: stand-ins [kg m^2 and kg]."""
+
+
+class RobotData:
+    """Data that criteria use of a robot beyond its configuration.
+
+    Args:
+        cell: model of the cell, for the bodies around the robot.
+        robot: name of the robot.
+        stiffness: (n,) of the joints [N m/rad or N/m]; stand-ins if not given.
+        kinematics: of the robot; made if not given.
+        others: (n,) configuration of each other robot whose bodies count; none if not given.
+        task: names forces and directions of the hands, and which of them stay in place.
+    """
+
+    def __init__(
+        self,
+        cell: CellModel,
+        robot: str,
+        stiffness: Array | None = None,
+        kinematics: BatchKinematics | None = None,
+        others: Mapping[str, Array] | None = None,
+        task: Task = NO_TASK,
+    ) -> None:
+        self.robot = cell.robots[robot]
+        self.kinematics = kinematics or BatchKinematics(self.robot)
+        self.bodies = NearBodies(cell, robot, others, {hand for hand, _, _ in task.tolerances()})
+        self.forces = task.vectors("force_n", self.robot.hands)
+        self.motions = task.vectors("motion", self.robot.hands)
+        given = np.where(self.robot.revolute, STIFFNESS_RAD, STIFFNESS_M)
+        self.stiffness: Array = given if stiffness is None else np.asarray(stiffness, dtype=np.float64)
+        self.rotors = np.where(self.robot.revolute, ROTOR_RAD, ROTOR_M)
+        inertias = [self.robot.model.inertias[joint + 1] for joint in range(self.robot.n)]
+        self.masses = np.array([float(inertia.mass) for inertia in inertias])
+        self.centres = np.array([inertia.lever for inertia in inertias])
+        self.inertias = np.array([inertia.inertia for inertia in inertias])
+
+    @cached_property
+    def torques(self) -> Array:
+        """(n,) torque that gives each joint its acceleration with the robot at home [N m or N]: a stand-in."""
+        (masses,) = Postures(self, self.robot.home).masses
+        torques: Array = np.diagonal(masses) * self.robot.max_acceleration
+        return torques
+
+
+class Postures:
+    """N configurations.
+
+    Args:
+        data: of the robot.
+        q: (N, n) configurations [rad or m]; columns of tolerances after these do not count.
+    """
+
+    def __init__(self, data: RobotData, q: Array) -> None:
+        self.data = data
+        self.q: Array = np.atleast_2d(np.asarray(q, dtype=np.float64))[:, : data.robot.n]
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    @cached_property
+    def frames(self) -> FrameBatch:
+        """All joints, placed."""
+        return self.data.kinematics.frames(self.q)
+
+    @cached_property
+    def near(self) -> MeasuredPairs:
+        """The nearest pairs of bodies of each configuration, e pairs in total."""
+        return self.data.bodies.near(self.q)
+
+    @cached_property
+    def near_rates(self) -> Array:
+        """(e, n) derivative of the distance of each pair of `near` with respect to the joints [m/rad or 1]."""
+        near, kinematics = self.near, self.data.kinematics
+        rates = np.zeros((len(near.row), self.q.shape[1]))
+        if not len(near.row):
+            return rates
+        axes, origins = kinematics.columns(self.frames)
+        axes, origins, away = axes[near.row], origins[near.row], near.away[:, None]
+        # away . (axis x r) = (away x axis) . r
+        turned = np.cross(away, axes)
+        slid = (away * axes).sum(axis=2)
+        for carriers, points, sign in ((near.first, near.on_first, 1.0), (near.second, near.on_second, -1.0)):
+            along = np.einsum("eni,eni->en", turned, points[:, None] - origins)
+            columns = np.where(kinematics.revolute, along, slid)
+            rates += sign * columns * (kinematics.moves[carriers] & (carriers >= 0)[:, None])
+        return rates
+
+    @cached_property
+    def jacobians(self) -> Array:
+        """(N, h, 6, n) Jacobian of each hand, linear over angular, world axes."""
+        return self.data.kinematics.hand_jacobians(self.frames)
+
+    def in_world(self, vectors: Array) -> Array:
+        """(N, h, 3) vectors (h, 3) in the hands' axes, in those of the world."""
+        hands = zip(self.data.kinematics.hands, vectors, strict=True)
+        return np.stack(
+            [self.frames.rotation[joint] @ (turn @ vector) for (joint, turn, _), vector in hands], axis=1
+        )
+
+    @cached_property
+    def masses(self) -> Array:
+        """(N, n, n) mass matrix [kg m^2, kg m, kg]: `sum m J_v^T J_v + J_w^T I J_w` over the links, and the drives."""
+        total = np.tile(np.diag(self.data.rotors), (len(self), 1, 1))
+        for mass, J, I_world in self._links():
+            linear, angular = J[:, :3], J[:, 3:]
+            total += mass * linear.transpose(0, 2, 1) @ linear
+            total += angular.transpose(0, 2, 1) @ I_world @ angular
+        return total
+
+    @cached_property
+    def gravity(self) -> Array:
+        """(N, n) torque or force of gravity against each joint [N m or N]."""
+        total, kinematics = np.zeros_like(self.q), self.data.kinematics
+        axes, origins = kinematics.columns(self.frames)
+        for joint in np.flatnonzero(self.data.masses > 0.0):
+            centre = self.frames.rotation[joint] @ self.data.centres[joint] + self.frames.position[joint]
+            arm = centre[:, None] - origins
+            lifted = axes[..., 0] * arm[..., 1] - axes[..., 1] * arm[..., 0]
+            rows = np.where(kinematics.revolute, lifted, axes[..., 2]) * kinematics.moves[joint]
+            total += GRAVITY_M_S2 * self.data.masses[joint] * rows
+        return total
+
+    def _links(self) -> list[tuple[float, Array, Array]]:
+        """Of each link with a mass: its mass, Jacobian of its centre, and inertia in the world."""
+        kinematics, frames, links = self.data.kinematics, self.frames, []
+        for joint in range(self.data.robot.n):
+            mass = float(self.data.masses[joint])
+            if mass <= 0.0:
+                continue
+            R = frames.rotation[joint]
+            J = kinematics.jacobian(frames, joint, frames.position[joint] + R @ self.data.centres[joint])
+            links.append((mass, J, R @ self.data.inertias[joint] @ R.transpose(0, 2, 1)))
+        return links
+
+
+# The formulas.
 
 STEP = 1e-5
 """Step of the central differences: also of those of a value that is itself a derivative [rad or m]."""
+
+ROWS = 512
+"""Configurations at which a value is taken at once: many are quick, but those of nested derivatives fill memory."""
 
 
 def slopes(value: Callable[[Postures], Array], postures: Postures) -> Array:
     """(N, n) derivatives of a value (N,) by the joints, by central differences."""
     n = postures.q.shape[1]
     steps = STEP * np.concatenate([np.eye(n), -np.eye(n)])
-    # configuration by configuration: a value may be made of derivatives, and all at once fill the memory
-    rows = [value(Postures(postures.data, q + steps)).reshape(2, n) for q in postures.q]
-    gradient: Array = np.array([(ahead - behind) / (2.0 * STEP) for ahead, behind in rows]).reshape(-1, n)
+    gradient, most = np.empty_like(postures.q), max(1, ROWS // len(steps))
+    for first in range(0, len(postures), most):
+        q = postures.q[first : first + most]
+        near = Postures(postures.data, (q[:, None] + steps).reshape(-1, n))
+        ahead, behind = np.moveaxis(value(near).reshape(len(q), 2, n), 1, 0)
+        gradient[first : first + most] = (ahead - behind) / (2.0 * STEP)
     return gradient
 
 
@@ -60,8 +214,8 @@ def limits(postures: Postures) -> Array:
 
 
 def speed(postures: Postures) -> Array:
-    """Least singular value of J_v D [m/s]."""
-    slowest: Array = _values(postures, postures.data.robot.max_velocity)[:, :, -1].min(axis=1)
+    """Least singular value of J_v D, or the ratio along a task's motion [m/s]."""
+    slowest: Array = _slowest(postures, postures.data.robot.max_velocity).min(axis=1)
     return slowest
 
 
@@ -71,6 +225,38 @@ def _values(postures: Postures, scale: Array) -> Array:
         np.linalg.svd(postures.jacobians[:, :, :3] * scale, compute_uv=False), np.float64
     )
     return values
+
+
+def _slowest(postures: Postures, scale: Array) -> Array:
+    """(N, h) of J = J_v diag(scale) the least singular value, or along a task's motion u `(u^T (J J^T)^-1 u)^-1/2`."""
+    slowest: Array = _values(postures, scale)[:, :, -1]
+    given = postures.data.motions.any(axis=1)
+    if given.any():
+        along, J = _units(postures, postures.data.motions)[:, given], postures.jacobians[:, given, :3] * scale
+        square = J @ J.transpose(0, 1, 3, 2) + _DAMPING * np.eye(3)
+        inverse = np.linalg.solve(square, along[..., None])[..., 0]
+        slowest[:, given] = (along * inverse).sum(axis=2) ** -0.5
+    return slowest
+
+
+def _strained(postures: Postures, scale: Array) -> Array:
+    """(N, h) of J = J_v diag(scale) the greatest singular value, or along a task's force u `|J^T u|`."""
+    strained: Array = _values(postures, scale)[:, :, 0]
+    given = postures.data.forces.any(axis=1)
+    if given.any():
+        along, J = _units(postures, postures.data.forces)[:, given], postures.jacobians[:, given, :3] * scale
+        strained[:, given] = np.linalg.norm(np.einsum("nhi,nhij->nhj", along, J), axis=2)
+    return strained
+
+
+def _units(postures: Postures, vectors: Array) -> Array:
+    """(N, h, 3) directions of vectors (h, 3) in the hands' axes, in those of the world; zero of zero ones."""
+    sizes = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return postures.in_world(vectors / np.where(sizes > 0.0, sizes, 1.0))
+
+
+_DAMPING = 1e-12
+"""Added to the squares of a Jacobian: a singular one has no speed in the direction that is lost [m^2/s^2]."""
 
 
 def manipulability(postures: Postures) -> Array:
@@ -151,19 +337,21 @@ def _unevenness(shares: Array) -> Array:
 
 
 def acceleration(postures: Postures) -> Array:
-    """Least singular value of J_v A [m/s^2]."""
-    slowest: Array = _values(postures, postures.data.robot.max_acceleration)[:, :, -1].min(axis=1)
+    """Least singular value of J_v A, or the ratio along a task's motion [m/s^2]."""
+    slowest: Array = _slowest(postures, postures.data.robot.max_acceleration).min(axis=1)
     return slowest
 
 
 def _shares(postures: Postures) -> Array:
-    """(N, n) gravity's torque at each joint, as a fraction of the drive's least torque."""
-    shares: Array = postures.gravity / postures.data.torques
+    """(N, n) torque of gravity and of the task's forces at each joint, as a fraction of the drive's least torque."""
+    forces = postures.in_world(postures.data.forces)
+    load = postures.gravity + np.einsum("nhi,nhij->nj", forces, postures.jacobians[:, :, :3])
+    shares: Array = load / postures.data.torques
     return shares
 
 
 def torque(postures: Postures) -> Array:
-    """Mean square of gravity's torques."""
+    """Mean square of the torques of gravity and of the task's forces."""
     value: Array = np.square(_shares(postures)).mean(axis=1)
     return value
 
@@ -209,14 +397,14 @@ def relative_compliance(postures: Postures) -> Array:
 
 
 def force(postures: Postures) -> Array:
-    """Force that the hand can exert in its weakest direction [N]."""
-    value: Array = 1.0 / _values(postures, 1.0 / postures.data.torques)[:, :, 0].max(axis=1)
+    """Force that the hand can exert in its weakest direction, or in that of the task's force [N]."""
+    value: Array = 1.0 / _strained(postures, 1.0 / postures.data.torques).max(axis=1)
     return value
 
 
 def deformation(postures: Postures) -> Array:
-    """Deflection of the hand per force in its softest direction [m/N]."""
-    value: Array = np.square(_values(postures, postures.data.stiffness**-0.5)[:, :, 0].max(axis=1))
+    """Deflection of the hand per force in its softest direction, or in that of the task's force [m/N]."""
+    value: Array = np.square(_strained(postures, postures.data.stiffness**-0.5).max(axis=1))
     return value
 
 

@@ -7,7 +7,7 @@ the hands' poses fix, such as a gripper and the workpiece, is left out: no confi
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from itertools import combinations
@@ -270,13 +270,20 @@ class NearBodies:
         cell: model of the cell.
         robot: name of the robot.
         others: (n,) configuration of each other robot that counts; without them no other robot counts.
+        loose: hands that do not keep their pose.
 
     Attributes:
         names: names of the bodies of each pair.
         kinds: (p,) kind of each pair.
     """
 
-    def __init__(self, cell: CellModel, robot: str, others: Mapping[str, Array] | None = None) -> None:
+    def __init__(
+        self,
+        cell: CellModel,
+        robot: str,
+        others: Mapping[str, Array] | None = None,
+        loose: Collection[str] = (),
+    ) -> None:
         gate, model = cell.description.gate, cell.robots[robot]
         self._model, places = composite_model(cell)
         self._data, self._q = self._model.createData(), pin.neutral(self._model)
@@ -300,7 +307,8 @@ class NearBodies:
         self._joints = [
             int(body.parentJoint) - 1 - self._first if i in set(own) else -1 for i, body in enumerate(bodies)
         ]
-        last = {int(model.model.frames[model.frame_of(hand)].parentJoint) - 1 for hand in model.hands}
+        kept = [hand for hand in model.hands if hand not in loose]
+        last = {int(model.model.frames[model.frame_of(hand)].parentJoint) - 1 for hand in kept}
         # a hand stays in place, and so do all bodies on its last joint
         still = {i for i in range(len(bodies)) if self._joints[i] < 0 or self._joints[i] in last}
         never = {frozenset(pair) for pair in model.never_checked_pairs()}

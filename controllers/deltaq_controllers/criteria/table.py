@@ -15,8 +15,8 @@ from typing import Literal
 import numpy as np
 
 from deltaq_controllers.criteria import formulas
+from deltaq_controllers.criteria.formulas import Postures, RobotData
 from deltaq_controllers.criteria.near_bodies import PairKind
-from deltaq_controllers.criteria.postures import Postures, RobotData
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.batch import BatchKinematics
@@ -19,7 +18,8 @@ from deltaq_controllers.inverse.branches import Branches, wrapped
 from deltaq_controllers.inverse.chain import Chain, chain_of
 from deltaq_controllers.inverse.kr16 import SHOULDER_HEIGHT, T_WRIST_FLANGE, Kr16Inverse
 from deltaq_controllers.inverse.titan import TitanInverse, TitanLengths
-from deltaq_protocol.arrays import Array
+from deltaq_controllers.task import NO_TASK, Task, tolerant, tolerated
+from deltaq_protocol.arrays import Array, Indices
 from deltaq_protocol.errors import DeltaqError
 
 # The arm before a hand: which six joints, and the inverse that fits them.
@@ -61,12 +61,12 @@ class Arm:
         joints: (6,) their indices.
         solver: their inverse, of the hand or, if there are joints beyond, of the last joint's frame.
         T_mount_base: (4, 4) the inverse's base frame in the frame of the first joint at zero.
-        beyond: indices of the joints between arm and hand.
+        beyond: indices of the joints between arm and hand, tolerances included.
         T_last_hand: (4, 4) the hand in the frame of the last joint before it.
     """
 
     hand: str
-    joints: NDArray[np.intp]
+    joints: Indices
     solver: ArmInverse
     T_mount_base: Array = field(default_factory=lambda: np.eye(4))
     beyond: tuple[int, ...] = ()
@@ -85,26 +85,33 @@ class Arm:
         return inverted(T @ self.T_last_hand)
 
 
-def arm_of(robot: RobotModel, kinematics: BatchKinematics, hand: str) -> Arm:
+def arm_of(robot: RobotModel, kinematics: BatchKinematics, hand: str, driven: int) -> Arm:
     """The arm before a hand.
 
     It is the last six joints where these have an inverse in closed form: the KR 16's or the Titan II's own, which are
     the quickest, or one that EAIK finds. A longer chain may have one for six joints further in only, as a Panda has,
     whose last joint is free then. Otherwise the last six are solved by Newton's method.
 
+    Args:
+        robot: its model.
+        kinematics: of the same.
+        hand: name of the hand.
+        driven: number of joints with a drive; those after them are tolerances.
+
     Raises:
         TrackingError: fewer than six joints carry the hand, or one of the six slides.
     """
     frame = robot.model.frames[robot.frame_of(hand)]
     T_last_hand = frame.placement.homogeneous
-    chain = np.array([joint - 1 for joint in robot.model.supports[int(frame.parentJoint)] if joint > 0])
+    whole = np.array([joint - 1 for joint in robot.model.supports[int(frame.parentJoint)] if joint > 0])
+    chain, loose = whole[whole < driven], whole[whole >= driven]
     last = chain[-ARM_JOINTS:]
     if len(last) < ARM_JOINTS:
         raise TrackingError(
             f"robot '{robot.name}': {hand} is carried by {len(last)} joint{'s' * (len(last) != 1)}, and an arm has "
             f"{ARM_JOINTS}"
         )
-    for arm in _of_our_own(robot, hand, last, T_last_hand):
+    for arm in _of_our_own(robot, hand, last, loose, T_last_hand):
         if _fits(robot, kinematics, arm):
             return arm
     if not robot.revolute[last].all():
@@ -112,32 +119,36 @@ def arm_of(robot: RobotModel, kinematics: BatchKinematics, hand: str) -> Arm:
         raise TrackingError(
             f"robot '{robot.name}': {sliding} is prismatic; the six joints before {hand} must be revolute"
         )
-    for arm in _in_closed_form(robot, hand, chain, T_last_hand):
+    for arm in _in_closed_form(robot, hand, chain, loose, T_last_hand):
         if _fits(robot, kinematics, arm):
             return arm
     limits = robot.lower[last], robot.upper[last]
-    numeric = AnyArm(chain_of(robot.model, last, T_last_hand), *limits, numeric=True)
-    return Arm(hand, last, numeric, T_last_hand=T_last_hand)
+    T_last_tool = np.eye(4) if len(loose) else T_last_hand
+    numeric = AnyArm(chain_of(robot.model, last, T_last_tool), *limits, numeric=True)
+    return Arm(hand, last, numeric, beyond=tuple(loose.tolist()), T_last_hand=T_last_hand)
 
 
-def _of_our_own(robot: RobotModel, hand: str, joints: NDArray[np.intp], T_last_hand: Array) -> Iterator[Arm]:
+def _of_our_own(
+    robot: RobotModel, hand: str, joints: Indices, loose: Indices, T_last_hand: Array
+) -> Iterator[Arm]:
+    T_last_tool, beyond = np.eye(4) if len(loose) else T_last_hand, tuple(loose.tolist())
     places = [robot.model.jointPlacements[int(joint) + 1].translation for joint in joints]
     azimuth, upper_arm, forearm, wrist = (float(place[2]) for place in places[1:5])
     if upper_arm > 0.0 and forearm > 0.0:
         lengths = TitanLengths(azimuth, upper_arm, forearm, wrist, tool=0.0)
-        yield Arm(hand, joints, TitanInverse(lengths, T_last_hand), T_last_hand=T_last_hand)
+        yield Arm(hand, joints, TitanInverse(lengths, T_last_tool), beyond=beyond, T_last_hand=T_last_hand)
     below = np.eye(4)
     below[2, 3] = -SHOULDER_HEIGHT
-    kr16 = Kr16Inverse(np.linalg.inv(T_WRIST_FLANGE) @ T_last_hand)
-    yield Arm(hand, joints, kr16, below, T_last_hand=T_last_hand)
+    kr16 = Kr16Inverse(np.linalg.inv(T_WRIST_FLANGE) @ T_last_tool)
+    yield Arm(hand, joints, kr16, below, beyond, T_last_hand)
 
 
 def _in_closed_form(
-    robot: RobotModel, hand: str, chain: NDArray[np.intp], T_last_hand: Array
+    robot: RobotModel, hand: str, chain: Indices, loose: Indices, T_last_hand: Array
 ) -> Iterator[Arm]:
     """Arms of six joints in a row that EAIK can decompose, the outermost first."""
     for first in range(len(chain) - ARM_JOINTS, -1, -1):
-        joints, beyond = chain[first : first + ARM_JOINTS], chain[first + ARM_JOINTS :]
+        joints, beyond = chain[first : first + ARM_JOINTS], np.append(chain[first + ARM_JOINTS :], loose)
         if not robot.revolute[joints].all():
             return
         T_last_tool = np.eye(4) if len(beyond) else T_last_hand
@@ -175,23 +186,31 @@ __all__ = ["ARM_JOINTS", "Arm", "ConstraintTracker", "TrackingError"]
 class ConstraintTracker:
     """Splits a robot into arms with an inverse and a base that is free.
 
+    Tolerances of a task are free joints. Configurations contain them, after the robot's own joints.
+
     Args:
         robot: its model.
+        task: names the tolerances.
 
     Attributes:
-        robot: as given.
+        own: the robot, as given.
+        driven: number of its joints.
+        robot: the same with a joint for each tolerance.
+        task: as given.
         kinematics: of many configurations at once.
         arms: one a hand, in the order of the robot's hands.
         base: indices of the joints that are free.
 
     Raises:
         TrackingError: a hand is carried by fewer than six joints, one of its arm slides, or arms share joints.
+        TaskError: the robot does not have a hand that the task names.
     """
 
-    def __init__(self, robot: RobotModel) -> None:
-        self.robot = robot
+    def __init__(self, robot: RobotModel, task: Task = NO_TASK) -> None:
+        self.own, self.driven, self.task = robot, robot.n, task
+        self.robot = robot = tolerant(robot, task)
         self.kinematics = BatchKinematics(robot)
-        self.arms = tuple(arm_of(robot, self.kinematics, hand) for hand in robot.hands)
+        self.arms = tuple(arm_of(robot, self.kinematics, hand, self.driven) for hand in robot.hands)
         taken = {int(joint) for arm in self.arms for joint in arm.joints}
         if len(taken) < ARM_JOINTS * len(self.arms):
             raise TrackingError(f"robot '{robot.name}': the arms of {', '.join(robot.hands)} share joints")
@@ -213,8 +232,23 @@ class ConstraintTracker:
         )
 
     def hands(self, q: Array) -> Array:
-        """(h, 4, 4) poses of all hands at the configuration `q` (n,), in the world."""
+        """(h, 4, 4) places of all hands at the configuration `q` (n,), in the world; missing tolerances are zero."""
+        q = np.append(q, np.zeros(self.robot.n - len(q)))
         return np.stack([self.robot.forward(q, hand) for hand in self.robot.hands])
+
+    def with_tolerances(self, q: Array, T_world_hands: Array) -> Array:
+        """The configuration of the robot's own joints (n,) with the tolerances that have the hands at their places.
+
+        Args:
+            q: own joints; any more are replaced.
+            T_world_hands: (h, 4, 4) where the hands should be. What no tolerance allows is left out.
+        """
+        q = q[: self.driven]
+        if self.driven == self.robot.n:
+            return q
+        places = zip(self.robot.hands, inverted(self.hands(q)) @ T_world_hands, strict=True)
+        off = {hand: tolerated(self.task, hand, T) for hand, T in places}
+        return np.concatenate([q, *(off[hand] for hand in self.task.hands)])
 
     def solve(self, base: Array, T_world_hands: Array, hint: Array | None = None) -> list[Branches]:
         """All branches of every arm.

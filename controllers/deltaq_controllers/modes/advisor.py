@@ -15,6 +15,7 @@ from deltaq_controllers.inverse.tracking import ConstraintTracker, TrackingError
 from deltaq_controllers.modes.hands import GLIMPSE_S, Hands, kept_while_braked
 from deltaq_controllers.modes.interface import Advance, Instant, Limit, Limitation, Motion
 from deltaq_controllers.modes.stepped import SteppedMode
+from deltaq_controllers.task import NO_TASK, Task
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.driving import DrivingMode
 
@@ -33,14 +34,14 @@ WOULD_PART = (
 )
 
 
-def tracker_of(robot: RobotModel, hands_may_leave: bool = False) -> ConstraintTracker:
+def tracker_of(robot: RobotModel, hands_may_leave: bool = False, task: Task = NO_TASK) -> ConstraintTracker:
     """The inverse that the advisor needs.
 
     Raises:
         ControllerError: the robot has none, or is not redundant and its hand may not leave its place.
     """
     try:
-        tracker = ConstraintTracker(robot)
+        tracker = ConstraintTracker(robot, task)
     except TrackingError as error:
         raise ControllerError(f"mode advisor: {error}") from None
     if not len(tracker.base) and not hands_may_leave:
@@ -117,12 +118,13 @@ class AdvisorMode(SteppedMode):
     def __init__(self, robot: RobotModel, cycle_s: float, advisor: Advisor, pace: float = 1.0) -> None:
         super().__init__(robot)
         self._cycle_s, self._advisor, self._pace = cycle_s, advisor, pace
-        self._hands = Hands(robot)
+        self._hands = Hands(advisor.tracker.robot)
         self.drives_joints = np.zeros(robot.n, dtype=np.bool_)
         self._wanted: int | None = None
         self._driven: int | None = None
         self._route: Route | None = None
         self._hands_move = self._hold = False
+        self._places: Array = advisor.tracker.hands(robot.home)
         self._trail: Array = robot.home[None]
         self._q: Array = np.full(robot.n, np.nan)
         self._hindrance = ""
@@ -153,7 +155,9 @@ class AdvisorMode(SteppedMode):
     @property
     def is_at_end(self) -> bool:
         """Whether the robot rests at the end of that path."""
-        return self._route is not None and bool(np.abs(self._q - self._route.end).max() < ARRIVED)
+        return self._route is not None and bool(
+            np.abs(self._q - self._route.end[: self._robot.n]).max() < ARRIVED
+        )
 
     @property
     def search(self) -> Progress | None:
@@ -235,11 +239,18 @@ class AdvisorMode(SteppedMode):
             return motion.scaled(0.0)
         if self._hands_move:
             return motion.scaled(0.0) if self._hold else motion
-        rates = self.step(q, motion, GLIMPSE_S) / GLIMPSE_S
-        return motion.scaled(kept_while_braked(self._hands, q, rates, self._robot.max_acceleration))
+        tracker = self._advisor.tracker
+        q = tracker.with_tolerances(q, self._places)
+        rates = self._step(q, motion, GLIMPSE_S) / GLIMPSE_S
+        return motion.scaled(kept_while_braked(self._hands, q, rates, tracker.robot.max_acceleration))
 
     def step(self, q: Array, motion: Motion, time_s: float) -> Array:
         """The displacement along the path."""
+        if not self._hands_move:
+            q = self._advisor.tracker.with_tolerances(q, self._places)
+        return self._step(q, motion, time_s)[: self._robot.n]
+
+    def _step(self, q: Array, motion: Motion, time_s: float) -> Array:
         if self._route is None or motion.along == 0.0:
             return np.zeros_like(q)
         return self._route.step(q, self._pace * motion.along * time_s / self._cycle_s)
@@ -269,7 +280,9 @@ class AdvisorMode(SteppedMode):
         is_start = bool(np.abs(option.start - q).max() < AT_START)
         if is_start and option.path is not None:
             self._advisor.give_up()  # a control loop in motion needs the processor
-            setpoints = timed(option.path, self._advisor.tracker, self._cycle_s, option.hands_move)
+            tracker = self._advisor.tracker
+            self._places = tracker.hands(option.path[0]) if option.places is None else option.places
+            setpoints = timed(option.path, tracker, self._cycle_s, option.hands_move, self._places)
             self._trail = np.concatenate([self._back(q)[::-1], option.path])
             self._route, self._driven, self._hands_move = Route(setpoints), self._wanted, option.hands_move
         elif self._advisor.is_busy:

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_cell.compiled import compiled
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.criteria.postures import Postures, RobotData
+from deltaq_controllers.criteria.formulas import Postures, RobotData
 from deltaq_controllers.criteria.table import Normalised
 from deltaq_controllers.interface import ControllerError
-from deltaq_controllers.modes.hands import HeldObject, allowed_while_braked
-from deltaq_controllers.modes.interface import Conditioning, Instant, Limit, Limitation, Motion
+from deltaq_controllers.limits import IncrementLimits
+from deltaq_controllers.modes.hands import Hands, HeldObject, allowed_while_braked
+from deltaq_controllers.modes.interface import Advance, Conditioning, Instant, Limit, Limitation, Motion
+from deltaq_controllers.modes.programme import Box
 from deltaq_controllers.modes.resolved import DrivenTasks, ResolvedMode
+from deltaq_controllers.surroundings.surroundings import Near
+from deltaq_controllers.task import NO_TASK, Task, tolerant
 from deltaq_protocol.arrays import Array, Indices
 from deltaq_protocol.driving import DrivingMode
 
@@ -46,6 +50,20 @@ DRIFT_SHARE_S_M = 2.5
 
 FULL_DESCENT_S = 0.005
 """Weighted descent of the criteria, over a joint's greatest speed, above which it is clipped [s]."""
+
+
+TOLERANCE_SHARE = 0.01
+"""Share of a tolerance in the work, where a joint has one: commands move the hand itself, except next to a
+singularity."""
+
+REGION_S = 0.5
+"""Least time in which a hand may use up its distance to the border of its region [s]."""
+
+_DAMPING = 1e-9
+"""Added to the squares of a Jacobian, so that a singular one gives no infinite rates [m^2]."""
+
+_NOTHING = 1e-24
+"""Square of an increment that counts as none [rad^2 or m^2]."""
 
 
 @dataclass(frozen=True)
@@ -82,16 +100,35 @@ class CoupledMode(ResolvedMode):
     The tasks are the hands. The joints drift down the criteria in their null space (Liegeois), only while the operator
     moves a hand: no input, no motion.
 
+    Tolerances of a task are joints, too. A command moves the hand along every axis; only the drift uses tolerances,
+    from where the hand was when the mode began.
+
     Args:
         robot: the robot.
         criteria: for redundant joints; by default they stay near the middle of their ranges.
+        task: names tolerances and regions of the hands, and the time for which they have to be still.
+
+    Raises:
+        TaskError: the robot does not have a hand that the task names.
     """
 
     name = DrivingMode.COUPLED
     drives_hands = True
 
-    def __init__(self, robot: RobotModel, criteria: Sequence[WeightedCriterion] | None = None) -> None:
-        super().__init__(robot)
+    def __init__(
+        self,
+        robot: RobotModel,
+        criteria: Sequence[WeightedCriterion] | None = None,
+        task: Task = NO_TASK,
+    ) -> None:
+        super().__init__(tolerant(robot, task))
+        self._n, self._task, self._own = robot.n, task, Hands(robot)
+        self._regions = [task.region(hand) for hand in robot.hands]
+        self._shares[self._n :] *= TOLERANCE_SHARE
+        self._weights = 1.0 / self._shares
+        self._off = self._off_last = np.zeros(self._robot.n - robot.n)
+        self._held: HeldObject | None = None
+        self._still_s = 0.0
         self._max_velocity = robot.max_velocity
         self.drives_joints = np.zeros(robot.n, dtype=np.bool_)
         self._criteria = (
@@ -100,16 +137,100 @@ class CoupledMode(ResolvedMode):
             else tuple(criteria)
         )
 
+    @property
+    def status(self) -> str:
+        """For how long the hands have been still, if the task has them dwell."""
+        dwell_s = self._task.dwell_s
+        return f"still for {min(self._still_s, dwell_s):.1f} of {dwell_s:g} s" if dwell_s else ""
+
+    def enter(self, q: Array) -> None:
+        """The tolerances begin at the present poses of the hands."""
+        self._off = self._off_last = np.zeros_like(self._off)
+        self._held, self._still_s = None, 0.0
+        super().enter(np.append(q, self._off))
+
+    def advance(self, instant: Instant, asked: Motion) -> Advance:
+        """The increment that continues towards the requested motion, as far as the regions allow."""
+        q, dq_last = instant.q_cmd, instant.dq_last
+        inside, edge = self._inside(q, asked)
+        is_still = not asked and not dq_last.any()
+        self._still_s = self._still_s + instant.cycle_s if is_still else 0.0
+        if instant.held is not self._held:
+            self._held, self._off, self._off_last = instant.held, 0.0 * self._off, 0.0 * self._off
+            self._line.forget()
+        # the gate may have admitted a part only
+        last = self._asked[: self._n]
+        share = float(np.clip(last @ dq_last / max(float(last @ last), _NOTHING), 0.0, 1.0))
+        off, before = share * self._asked[self._n :], self._off_last
+        self._off, self._off_last = self._off + off, off
+        whole = replace(
+            instant,
+            q_cmd=np.append(q, self._off),
+            dq_last=np.append(dq_last, off),
+            dq_before=np.append(instant.dq_before, before),
+            limits=self._limits(instant),
+            max_jerk=np.append(instant.max_jerk, np.full(len(off), np.inf)),
+        )
+        found = super().advance(whole, inside)
+        return Advance(found.dq[: self._n], found.limitation or (edge if asked else None))
+
+    def _limits(self, instant: Instant) -> IncrementLimits:
+        if not len(self._off):
+            return instant.limits
+        own = IncrementLimits.of(self._robot, instant.cycle_s)
+        return IncrementLimits(
+            *(np.append(a, b[self._n :]) for a, b in zip(instant.limits, own, strict=True))
+        )
+
+    def _inside(self, q: Array, asked: Motion) -> tuple[Motion, Limitation | None]:
+        """The motion, slowed before the border of a hand's region, and the region that slows it."""
+        if not any(self._regions):
+            return asked, None
+        self._own.place(q)
+        twists, edge = asked.hands.copy(), None
+        for hand, (region, twist) in enumerate(zip(self._regions, twists, strict=True)):
+            if region is None:
+                continue
+            place = self._own.positions[hand]
+            lower, upper = (np.subtract(side, place) for side in (region.lower_m, region.upper_m))
+            room = np.where(twist[:3] > 0.0, np.maximum(upper, 0.0), np.maximum(-lower, 0.0))
+            moves = twist[:3] != 0.0
+            share = np.min(room[moves] / (REGION_S * np.abs(twist[:3][moves])), initial=1.0)
+            if share < 1.0:
+                name = self._own.names[hand]
+                text = f"the {name} is at the border of the task's region"
+                edge = Limitation(Limit.WORKSPACE_EDGE, name, text)
+            twist *= share
+        return replace(asked, hands=twists), edge
+
+    def _near(self, instant: Instant, box: Box) -> Near:
+        if instant.surroundings is None:
+            return self._nothing_near
+        own = slice(0, self._n)
+        near = instant.surroundings.near(instant.q_cmd[own], box.slowest[own], box.fastest[own])
+        rows = np.pad(near.barriers.rows, ((0, 0), (0, len(self._off))))
+        return near._replace(barriers=near.barriers._replace(rows=rows))
+
     def _tasks(self, motion: Motion, held: HeldObject | None) -> DrivenTasks:
         del held
         return DrivenTasks(self._units[:, None] * self._hands.jacobian, self._units * motion.hands.ravel())
 
     def _drift(self, q: Array, made: Array) -> Array:
-        """(n,) rates that lower the criteria."""
+        """(n,) rates that lower the criteria, and those of the tolerances that go with them."""
+        q, shares = q[: self._n], self._shares[: self._n]
         descent = np.zeros_like(q)
         for criterion in self._criteria:
             descent -= criterion.weight * criterion.gradient(q)
-        return _shared_out(descent, self._shares, self._max_velocity, made)
+        rates = _shared_out(descent, shares, self._max_velocity, made)
+        if not len(self._off):
+            return rates
+        rows = self._units[:, None] * self._hands.jacobian
+        driven, free = rows[:, : self._n], rows[:, self._n :]
+        # what the tasks leave of the descent once the tolerances are free: they do not resist it, only commands
+        kept = np.linalg.qr(free, mode="complete")[0][:, len(self._off) :].T @ driven
+        square = (kept * shares) @ kept.T + _DAMPING * np.eye(len(kept))
+        rates -= shares * (kept.T @ np.linalg.solve(square, kept @ rates))
+        return np.append(rates, -np.linalg.lstsq(free, driven @ rates, rcond=None)[0])
 
 
 @compiled

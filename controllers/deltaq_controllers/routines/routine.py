@@ -14,14 +14,13 @@ from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
 from deltaq_cell.description import CellDescription, EquipmentDescription, EquipmentKind
-from deltaq_cell.load import problem_of
+from deltaq_cell.load import load_as
 from deltaq_cell.models import nearest_name
 from deltaq_cell.problems import CellError
 from deltaq_cell.roles import RoleError, camera_roles
-from deltaq_cell.yaml_tree import parse
 from deltaq_controllers.interface import ControllerError
 from deltaq_protocol.messages import Sight
 
@@ -160,16 +159,9 @@ def load_routine(name_or_path: str | Path) -> tuple[str, Routine]:
             )
         path = SHIPPED / f"{name_or_path}.yaml"
     try:
-        tree = parse(path.read_text(encoding="utf-8"), path.name)
-    except (OSError, UnicodeDecodeError) as error:
-        raise RoutineError(f"{path}: cannot be read: {error}") from None
+        return path.stem, load_as(Routine, path)
     except CellError as error:
         raise RoutineError(str(error)) from None
-    try:
-        return path.stem, Routine.model_validate(tree.plain())
-    except ValidationError as error:
-        problems = [problem_of(tree, dict(item), Routine) for item in error.errors()]
-        raise RoutineError("\n".join(str(problem) for problem in problems)) from None
 
 
 def shipped() -> tuple[str, ...]:

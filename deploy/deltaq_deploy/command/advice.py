@@ -23,6 +23,7 @@ from deltaq_controllers.live import ControlStatistics, cell_model
 from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.script import GoToOption
+from deltaq_controllers.task import NO_TASK, Task
 from deltaq_controllers.teleoperation import teleoperate
 from deltaq_deploy.launch.cell_connection import Where, connect, describe, known_robot
 from deltaq_protocol import connect as connect_to
@@ -43,7 +44,7 @@ class AdviceRequest:
     hands: Mapping[str, tuple[float, ...]] | None = None
     options: int = 5
     method: str = "annealing"
-    weights: Mapping[str, float] | None = None
+    task: Task = NO_TASK
     effort: float = 1.0
     seed: int = 0
     offline: bool = False
@@ -79,6 +80,7 @@ class Advice:
         joints: their names.
         method: of the search.
         seed: of the search.
+        task: title of the task; empty without one.
         weights: of the criteria.
         hands: (4, 4) pose required of each hand, in the world.
         options: best first.
@@ -94,6 +96,7 @@ class Advice:
     joints: tuple[str, ...]
     method: str
     seed: int
+    task: str
     weights: dict[str, float]
     hands: dict[str, Array]
     options: list[Option]
@@ -106,6 +109,7 @@ class Advice:
     def as_dict(self) -> dict[str, Any]:
         """The answer as a JSON object, in SI units."""
         return vars(self) | {
+            "task": self.task or None,
             "hands": {name: pose.tolist() for name, pose in self.hands.items()},
             "word": self.word or None,
             "options": [_as_dict(rank, option) for rank, option in enumerate(self.options, start=1)],
@@ -118,12 +122,14 @@ def advice(request: AdviceRequest, go_on: Callable[[Progress], bool] = lambda _:
 
     Raises:
         AdvisorError: a task that it cannot work on, or an option that does not exist or has no path.
+        TaskError: the cell or the robot does not have what the task names, or a hand is not in its region.
         ServiceUnreachableError: the cell is not running, and `offline` was not given.
         RefusedError: another client holds the robot's lease.
     """
     cell = CellModel.load(request.cell) if request.url is None else _running_model(request.url)
     known_robot(cell.description, request.robot)
-    robot, tracker = _robot(cell, request.robot)
+    cell = request.task.seen(cell)
+    robot, tracker = _robot(cell, request.robot or request.task.robot, request.task)
     with ExitStack() as stack:
         running: BlockingCell | None = None
         present = {name: np.array(model.home) for name, model in cell.robots.items()}
@@ -133,7 +139,7 @@ def advice(request: AdviceRequest, go_on: Callable[[Progress], bool] = lambda _:
         poses = _poses(tracker, present[robot], request.hands or {})
         # an arm without a joint to spare has options where its hand is to go elsewhere
         may_leave = request.hands_may_leave or (bool(request.hands) and not len(tracker.base))
-        problem = AdvisorProblem(cell, robot, poses, request.weights, tracker, present, may_leave)
+        problem = AdvisorProblem(cell, robot, poses, None, tracker, present, may_leave)
         began_s = time.perf_counter()
         options = advise_on(
             problem,
@@ -154,9 +160,10 @@ def advice(request: AdviceRequest, go_on: Callable[[Progress], bool] = lambda _:
         return Advice(
             cell=cell.description.cell,
             robot=robot,
-            joints=tracker.robot.joint_names,
+            joints=tracker.own.joint_names,
             method=request.method,
             seed=request.seed,
+            task=request.task.title,
             weights=problem.weights,
             hands=dict(zip(tracker.robot.hands, poses, strict=True)),
             options=options,
@@ -176,12 +183,11 @@ def _running_model(url: str) -> CellModel:
     return CellModel.of(model.description.model_copy(update={"hli": where.hli}), model.robots, told.yaml)
 
 
-def _robot(cell: CellModel, name: str) -> tuple[str, ConstraintTracker]:
+def _robot(cell: CellModel, name: str, task: Task) -> tuple[str, ConstraintTracker]:
     """The robot of that name, or the first redundant one."""
+    name = name or ("" if (tracker := first_redundant(cell.robots)) is None else tracker.robot.name)
     if name:
-        return name, ConstraintTracker(cell.robots[name])
-    if (tracker := first_redundant(cell.robots)) is not None:
-        return tracker.robot.name, tracker
+        return name, ConstraintTracker(cell.robots[name], task)
     raise AdvisorError(
         f"cell {cell.description.cell} has no redundant robot with at least six revolute joints before each hand: "
         "there is nothing to advise on"
@@ -235,7 +241,7 @@ def _drive(cell: CellDescription, tracker: ConstraintTracker, options: list[Opti
 
 
 async def _go(cell: CellDescription, answered: Answered, rank: int, T_world_hands: Array) -> Driven:
-    robot = answered.tracker.robot
+    robot = answered.tracker.own
     modes = {DrivingMode.ADVISOR: lambda robot: AdvisorMode(robot, cell.cycle_s, answered)}
     teleoperator = Teleoperator(robot, cell.cycle_s, DrivingMode.ADVISOR, modes=modes)
     statistics, enough = ControlStatistics(), asyncio.Event()

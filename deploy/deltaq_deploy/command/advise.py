@@ -11,10 +11,11 @@ from deltaq_deploy.command.options import (
     CriterionOption,
     HandsMayLeaveOption,
     JsonOption,
+    TaskOption,
     TradeOffOption,
     UrlOption,
+    task_of,
     two_criteria,
-    weights_of,
 )
 from deltaq_deploy.launch import BAD
 
@@ -39,6 +40,7 @@ def advise(
     method: Annotated[
         str, typer.Option(help="Search method: annealing, shotgun, genetic, monte-carlo or brute-force.")
     ] = "annealing",
+    task: TaskOption = "",
     criterion: CriterionOption = None,
     trade_off: TradeOffOption = "",
     hands_may_leave: HandsMayLeaveOption = False,
@@ -75,7 +77,7 @@ def advise(
         hands=dict(_pose(text) for text in hand or []),
         options=options,
         method=method,
-        weights=weights_of(criterion, "--criterion"),
+        task=task_of(task, criterion),
         effort=effort,
         seed=seed,
         offline=offline,

@@ -182,7 +182,7 @@ deltaq camera view --distance-m 0.9
 deltaq camera view --target gr:0,0,0.04 --target=-0.4,-0.7,1.3
 deltaq camera show
 deltaq camera show --robot fr --json
-deltaq advise --cell dawm --offline
+deltaq advise --cell lab --offline --task peg
 deltaq advise --cell dawm --offline --options 3 --criterion clearance=1 --json
 deltaq routine list
 deltaq routine list --cell lab --json

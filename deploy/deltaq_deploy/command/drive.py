@@ -20,10 +20,11 @@ from deltaq_deploy.command.options import (
     HandsMayLeaveOption,
     JsonOption,
     RobotOption,
+    TaskOption,
     TradeOffOption,
     UrlOption,
+    task_of,
     two_criteria,
-    weights_of,
 )
 from deltaq_deploy.launch import BAD
 from deltaq_protocol.errors import DeltaqError
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from deltaq_cell.description import CellDescription
     from deltaq_controllers.modes.teleoperator import Teleoperator
     from deltaq_controllers.operator_input.interface import OperatorInput
+    from deltaq_controllers.task import Task
     from deltaq_protocol.client import Cell
     from deltaq_protocol.errors import DeltaqError
 
@@ -63,6 +65,7 @@ def drive(
     cell: CellOption = "lab",
     url: UrlOption = None,
     frame: Annotated[str, typer.Option(help="Frame in which the hands are moved: world or tool.")] = "world",
+    task: TaskOption = "",
     criterion: CriterionOption = None,
     trade_off: TradeOffOption = "",
     hands_may_leave: HandsMayLeaveOption = False,
@@ -106,8 +109,8 @@ def drive(
                 "a script couples no master; leave out one of both", param_hint="--master"
             )
         known_robot(description, master)
-    weights, criteria = weights_of(criterion, "--criterion"), two_criteria(trade_off)
-    advised = (weights, jerk_time_s, criteria, hands_may_leave)
+    criteria = two_criteria(trade_off)
+    advised = (task_of(task, criterion), jerk_time_s, criteria, hands_may_leave)
     led = None if master is None else (master, master_scale)
     choice = _Choice(description, robot, mode, frame, advised, script, device, led, speed_m_s)
     with ExitStack() as terminal:
@@ -148,7 +151,7 @@ class _Choice:
     robot: str
     mode: str
     frame: str
-    advised: tuple[dict[str, float] | None, float, tuple[str, str] | None, bool]
+    advised: tuple[Task, float, tuple[str, str] | None, bool]
     script: Path | None
     device: str
     led: tuple[str, float] | None

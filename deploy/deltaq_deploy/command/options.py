@@ -1,9 +1,12 @@
 """Options that several verbs share."""
 
 from collections.abc import Sequence
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from deltaq_controllers.task import Task
 
 CellOption = Annotated[
     str, typer.Option("--cell", help="Name of a shipped cell or path of a YAML file.", show_default=True)
@@ -31,6 +34,14 @@ CriterionOption = Annotated[
         "--weight",
         metavar="NAME=WEIGHT",
         help="A criterion and its weight, e.g. clearance=1, in place of the default ones; repeatable.",
+    ),
+]
+TaskOption = Annotated[
+    str,
+    typer.Option(
+        "--task",
+        metavar="FILE",
+        help="A task in a YAML file, or one that comes with deltaq: gauge, lever, peg, saw_cut, valve.",
     ),
 ]
 TradeOffOption = Annotated[
@@ -71,6 +82,18 @@ TokenOption = Annotated[
 def weights_of(texts: Sequence[str] | None, option: str) -> dict[str, float] | None:
     """Criterion to weight, from texts such as `travel=1`; None for none."""
     return dict(_weight(text, option) for text in texts or ()) or None
+
+
+def task_of(name: str, criteria: Sequence[str] | None) -> "Task":
+    """The task of `--task`, with the weights of `--criterion` if there are any.
+
+    Raises:
+        CellError: there is no such task, or its file has errors.
+    """
+    from deltaq_controllers.task import NO_TASK, load_task
+
+    task, weights = load_task(name) if name else NO_TASK, weights_of(criteria, "--criterion")
+    return task if weights is None else task.model_copy(update={"weights": weights})
 
 
 def two_criteria(text: str) -> tuple[str, str] | None:

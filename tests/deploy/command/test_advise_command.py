@@ -51,6 +51,17 @@ def test_json_options_are_one_object_with_complete_values() -> None:
     assert options[0]["energy"] <= options[0]["energy_here"]
 
 
+def test_a_task_gives_a_robot_that_is_not_redundant_options_within_its_tolerance() -> None:
+    status, found = advised("--cell", "lab", "--task", "gauge")
+    assert status == 0
+    assert (found["robot"], found["task"]) == ("fr", "Read a gauge with the camera")
+    assert found["joints"] == ["a1", "a2", "a3", "a4", "a5", "a6"]
+    options = found["options"]
+    assert isinstance(options, list)
+    assert len(options) >= 3
+    assert all((len(one["q"]), one["hands_leave"]) == (6, False) for one in options)
+
+
 def test_one_hand_gets_a_new_pose_and_the_other_stays() -> None:
     status, found = advised("--hand", "left=1.7,0.3,1.5,0,90,0", "--options", "1")
     assert status == 0
