@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from closed_loop import CYCLE_S, approach, lab, limit_violations
 
+from deltaq_cell.models import RobotModelError
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.camera.controllers import CameraController
 from deltaq_controllers.camera.error import view_angle
 from deltaq_controllers.camera.follower import CameraFollower, FollowerGains
-from deltaq_controllers.interface import ControllerError, RobotView, View
+from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.spheres import Spheres
 
@@ -139,5 +140,5 @@ def test_until_the_leaders_first_state_the_robot_is_brought_to_rest() -> None:
 
 
 def test_a_robot_without_a_camera_cannot_follow() -> None:
-    with pytest.raises(ControllerError, match=r"'gr' has no camera.*robots\.gr\.camera"):
+    with pytest.raises(RobotModelError, match=r"'gr' carries no camera; add one under robots\.gr\.camera"):
         CameraFollower(GR, FR, CYCLE_S)

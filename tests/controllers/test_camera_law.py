@@ -5,22 +5,34 @@ import pytest
 from closed_loop import CYCLE_S, lab, with_camera
 
 from deltaq_cell.description import Camera, Pose
+from deltaq_cell.robot import RobotModel
 from deltaq_controllers.camera.error import look
 from deltaq_controllers.camera.law import CameraLaw, FollowerGains
 from deltaq_controllers.kinematics import Kinematics
+from deltaq_protocol.arrays import Array
 
 FREE = FollowerGains(damping=1e-6, turn_rad_s2=1e9, repulsion=0.0)
 OFF_AXIS = Camera(pose=Pose(position_m=(0.06, 0.02, 0.17), rpy_deg=(0, 10, 180)))
+FOLDED = np.deg2rad([0.0, -100, 90, 10, 40, 0])
 NOTHING = np.zeros((0, 3)), np.zeros(0)
+
+
+def looking(
+    q: Array, robot: RobotModel | None = None, gains: FollowerGains | None = None
+) -> tuple[CameraLaw, Kinematics]:
+    """The law of FR's camera, and FR at `q`."""
+    robot = robot or lab().robots["fr"]
+    law = CameraLaw(robot, CYCLE_S, CYCLE_S * robot.max_velocity, gains or FollowerGains(), floor_m=None)
+    kinematics = Kinematics(robot, "camera")
+    kinematics.update(q)
+    return law, kinematics
 
 
 def decay(camera: Camera | None, random: np.random.Generator) -> float:
     """Decay rate over virtual time of the view angle, relative to k_p, at some configuration."""
     robot = lab().robots["fr"] if camera is None else with_camera(camera)
-    law = CameraLaw(robot, CYCLE_S, CYCLE_S * robot.max_velocity, FREE, floor_m=None)
-    kinematics = Kinematics(robot, "camera")
     q = random.uniform(0.6 * robot.lower, 0.6 * robot.upper)
-    kinematics.update(q)
+    law, kinematics = looking(q, robot, FREE)
     focus = kinematics.position + random.normal(size=3)
     law.aim(q, focus, 0.0, 1.2, *NOTHING)
     step = 1e-7 * law.rates(q)
@@ -42,12 +54,8 @@ def test_the_view_angle_decays_at_k_p_with_any_sub_tasks(
 
 @pytest.mark.parametrize("degrees", [1.0, 20.0, 170.0])
 def test_the_task_rate_is_bounded_by_what_can_be_braked(degrees: float) -> None:
-    robot = lab().robots["fr"]
-    gains = FollowerGains(turn_rad_s2=10.0)
-    law = CameraLaw(robot, CYCLE_S, CYCLE_S * robot.max_velocity, gains, floor_m=None)
-    kinematics = Kinematics(robot, "camera")
-    q = np.deg2rad([0.0, -100, 90, 10, 40, 0])
-    kinematics.update(q)
+    gains, q = FollowerGains(turn_rad_s2=10.0), FOLDED
+    law, kinematics = looking(q, gains=gains)
     angle = math.radians(degrees)
     axes = kinematics.rotation
     focus = kinematics.position + 1.2 * (math.cos(angle) * axes[:, 2] + math.sin(angle) * axes[:, 0])
@@ -62,11 +70,7 @@ def test_the_task_rate_is_bounded_by_what_can_be_braked(degrees: float) -> None:
 
 
 def test_joints_with_reserve_compensate_for_joints_at_their_bounds() -> None:
-    robot = lab().robots["fr"]
-    law = CameraLaw(robot, CYCLE_S, CYCLE_S * robot.max_velocity, FollowerGains(), floor_m=None)
-    kinematics = Kinematics(robot, "camera")
-    q = np.deg2rad([0.0, -100, 90, 10, 40, 0])
-    kinematics.update(q)
+    law, kinematics = looking(q := FOLDED)
     focus = kinematics.position + 1.2 * kinematics.rotation[:, 2]
     law.aim(q, focus, 0.0, 1.2, *NOTHING)
     view = look(kinematics.rotation, kinematics.position, focus)
@@ -83,11 +87,7 @@ def test_joints_with_reserve_compensate_for_joints_at_their_bounds() -> None:
 
 @pytest.mark.parametrize("away", [True, False])
 def test_a_joint_leaves_its_bound_only_before_the_focus_is_lost(away: bool) -> None:
-    robot = lab().robots["fr"]
-    law = CameraLaw(robot, CYCLE_S, CYCLE_S * robot.max_velocity, FollowerGains(), floor_m=None)
-    kinematics = Kinematics(robot, "camera")
-    q = np.deg2rad([0.0, -100, 90, 10, 40, 0])
-    kinematics.update(q)
+    law, kinematics = looking(q := FOLDED)
     # the focus five degrees above the view axis, or below it; A5 cannot but nod, and A3 could make up for it
     nod = kinematics.angular[:, 4] @ np.cross(kinematics.rotation[:, 2], kinematics.rotation[:, 0])
     side = math.copysign(math.sin(math.radians(5.0)), nod if away else -nod)

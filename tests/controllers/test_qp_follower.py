@@ -8,6 +8,7 @@ from closed_loop import CYCLE_S, Servo, lab, limit_violations, with_camera
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.description import Camera, Pose
+from deltaq_cell.models import RobotModelError
 from deltaq_controllers.camera.controllers import NAMES, camera_controller_named
 from deltaq_controllers.camera.qp_follower import QpFollower
 from deltaq_controllers.camera.qp_problem import QpGains
@@ -236,7 +237,7 @@ def test_it_comes_to_rest_before_the_leaders_first_state() -> None:
 
 
 def test_a_robot_without_a_camera_is_refused() -> None:
-    with pytest.raises(ControllerError, match="has no camera"):
+    with pytest.raises(RobotModelError, match="carries no camera"):
         QpFollower(Scene(lab(), "gr", "fr"), 1.25)
 
 

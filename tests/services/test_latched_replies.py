@@ -61,13 +61,18 @@ def test_a_stop_of_held_robots_is_confirmed_at_once() -> None:
     assert not _replies(rig)
 
 
-def test_a_hold_about_to_be_reset_does_not_confirm_a_stop() -> None:
+def _about_to_be_reset() -> Rig:
     rig = Rig()
     rig.command(kind="stop")
     _cycles_until_answered(rig)
     for _ in range(10):
         rig.cycle()
     assert rig.command(kind="reset", robot="fr") is None
+    return rig
+
+
+def test_a_hold_about_to_be_reset_does_not_confirm_a_stop() -> None:
+    rig = _about_to_be_reset()
     assert rig.command(kind="stop") is None
     _cycles_until_answered(rig)
     rig.cycle()
@@ -91,12 +96,7 @@ def test_a_stop_of_a_silent_robot_is_never_confirmed(unheard: str) -> None:
 
 
 def test_a_reset_is_answered_when_the_robot_shows_it() -> None:
-    rig = Rig()
-    rig.command(kind="stop")
-    _cycles_until_answered(rig)
-    for _ in range(10):
-        rig.cycle()
-    assert rig.command(kind="reset", robot="fr") is None
+    rig = _about_to_be_reset()
     _cycles_until_answered(rig)
     assert rig.state.phase is Phase.READY
 

@@ -9,7 +9,6 @@ import numpy as np
 from deltaq_cell.compiled import compiled
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.camera.law import CameraLaw, FollowerGains
-from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.redundancy import Emergency
 from deltaq_controllers.spheres import PlacedSpheres
@@ -155,7 +154,7 @@ class CameraFollower:
         clearance_m: least clearance of bounding spheres at the last increment [m].
 
     Raises:
-        ControllerError: the robot has no camera.
+        RobotModelError: the robot carries no camera.
     """
 
     def __init__(
@@ -167,11 +166,6 @@ class CameraFollower:
         floor_m: float | None = 0.0,
     ) -> None:
         gains = gains or FollowerGains()
-        if robot.description.camera is None:
-            raise ControllerError(
-                f"robot {robot.name!r} has no camera to follow with: give it one under "
-                f"robots.{robot.name}.camera in the cell's description, or choose another robot"
-            )
         self.robot, self.cycle_s, self.gains = robot, cycle_s, gains
         self.limits = IncrementLimits.of(robot, cycle_s)
         self.clearance_m = np.inf

@@ -36,7 +36,7 @@ from deltaq_controllers.camera.qp_problem import (
 from deltaq_controllers.camera.repulsion import Obstacles, Potential, Repulsion
 from deltaq_controllers.camera.scene import Scene, focus_of
 from deltaq_controllers.camera.subtasks import RollJoint
-from deltaq_controllers.interface import ControllerError, LastIncrement, RobotView, View
+from deltaq_controllers.interface import LastIncrement, RobotView, View
 from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.redundancy import WeightedGradient, inverse_weights, limit_gradient
@@ -86,7 +86,7 @@ class QpFollower:
         unsolved: cycles in which the solver gave no answer and the robot braked.
 
     Raises:
-        ControllerError: the robot has no camera.
+        RobotModelError: the robot carries no camera.
     """
 
     def __init__(
@@ -97,11 +97,6 @@ class QpFollower:
         gains: QpGains | None = None,
     ) -> None:
         robot, cycle_s = scene.robot, scene.cycle_s
-        if robot.description.camera is None:
-            raise ControllerError(
-                f"robot {robot.name!r} has no camera to follow with: give it one under "
-                f"robots.{robot.name}.camera in the cell's description, or choose another robot"
-            )
         self.desired_distance_m, self.focus, self.gains = desired_distance_m, focus, gains or QpGains()
         self.aim_offset_m: Array = np.array(scene.aim_offset_m)
         self.limits = IncrementLimits.of(robot, cycle_s)
