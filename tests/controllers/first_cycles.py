@@ -142,8 +142,8 @@ class QuietCell(Cell):
 
     def __init__(self, name: str, waits: Waits) -> None:
         cell = loaded(name)
-        self.description = cell.description_message()
-        self.robots = self.description.robots
+        self._description = cell.description_message()
+        self.robots = self._description.robots
         self.models = cell.robots
         self.waits = waits
         self.early: dict[str, list[str]] = {}
