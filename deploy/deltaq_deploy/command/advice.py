@@ -128,7 +128,7 @@ def advice(request: AdviceRequest, go_on: Callable[[Progress], bool] = lambda _:
     """
     cell = CellModel.load(request.cell) if request.url is None else _running_model(request.url)
     known_robot(cell.description, request.robot)
-    cell = request.task.seen(cell)
+    seen = request.task.seen(cell)
     robot, tracker = _robot(cell, request.robot or request.task.robot, request.task)
     with ExitStack() as stack:
         running: BlockingCell | None = None
@@ -139,7 +139,7 @@ def advice(request: AdviceRequest, go_on: Callable[[Progress], bool] = lambda _:
         poses = _poses(tracker, present[robot], request.hands or {})
         # an arm without a joint to spare has options where its hand is to go elsewhere
         may_leave = request.hands_may_leave or (bool(request.hands) and not len(tracker.base))
-        problem = AdvisorProblem(cell, robot, poses, None, tracker, present, may_leave)
+        problem = AdvisorProblem(seen, robot, poses, None, tracker, present, may_leave)
         began_s = time.perf_counter()
         options = advise_on(
             problem,
@@ -149,7 +149,7 @@ def advice(request: AdviceRequest, go_on: Callable[[Progress], bool] = lambda _:
             method=request.method,
             effort=request.effort,
             trade_off=request.trade_off,
-            exact=ExactClearance(cell, robot, present),
+            exact=ExactClearance(seen, robot, present),
             go_on=go_on,
         )
         elapsed_s = time.perf_counter() - began_s

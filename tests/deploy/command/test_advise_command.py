@@ -14,6 +14,9 @@ from commands import PROGRAM, deltaq
 from typer.testing import CliRunner
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_cell.description import CellDescription
+from deltaq_controllers.task import load_task
+from deltaq_deploy.command.advice import AdviceRequest, advice
 from deltaq_deploy.command.app import app
 from deltaq_testing.private_cell import free_ports
 
@@ -60,6 +63,17 @@ def test_a_task_gives_a_robot_that_is_not_redundant_options_within_its_tolerance
     assert isinstance(options, list)
     assert len(options) >= 3
     assert all((len(one["q"]), one["hands_leave"]) == (6, False) for one in options)
+
+
+def test_a_task_that_knows_few_bodies_asks_the_cell_that_has_all_of_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def connected(description: CellDescription, _client: str) -> None:
+        raise RuntimeError(", ".join(description.structure))
+
+    monkeypatch.setattr("deltaq_deploy.command.advice.connect", connected)
+    with pytest.raises(RuntimeError, match="pipe_high"):
+        advice(AdviceRequest("dawm", task=load_task("saw_cut")))
 
 
 def test_one_hand_gets_a_new_pose_and_the_other_stays() -> None:
