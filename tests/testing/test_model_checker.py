@@ -232,7 +232,7 @@ def test_the_state_key_covers_all_memory_of_the_robot_server():
         "key": {
             "_cycles_without_gate", "_cycles_missed", "_settling", "_resets", "motion_stop", "_admissions",
         },
-        "nobody sets one": {"outputs"},
+        "nobody sets one": {"outputs", "_tool"},
         "none since the robot is kinematic": {"_mode", "_lag", "_pulses", "_unwatched"},
         "handed to each cycle": {"_supervision"},
         "no crash brake": {"guarded"},
