@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from deltaq import Gate, GateError
+from deltaq_protocol.guarded import Command
 from deltaq_protocol.messages import Done, Error, IoReply, IoRequest, Outcome, Phase, ToolRequest
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.core import Sim
@@ -131,6 +132,8 @@ def test_requests_that_are_refused() -> None:
     refused(answers[0], ReasonCode.MALFORMED, "fr has no tool changer")
     bench.cycles(5, np.full(9, 1e-4))
     refused(bench.request("valve_key"), ReasonCode.NOT_AT_REST, "gr moves")
+    bench.cycles(REST // 2)
+    refused(bench.request("valve_key"), ReasonCode.NOT_AT_REST)  # the drives are still catching up
     bench.cycles(2 * REST)
     bench.open()
     assert isinstance(bench.request("valve_key"), Done)
@@ -149,6 +152,31 @@ def test_the_changers_output_cannot_be_switched_as_others_can() -> None:
     bench.cycles(10)
     assert isinstance(answers[0], IoReply)
     assert bench.krc.outputs == {"gripper": True, "tool_changer": False}
+
+
+def test_the_gate_itself_switches_the_changer_by_no_other_command() -> None:
+    bench = ChangerBench()
+    sim = bench.stack.sim
+    cycles = {name: robot.tracker.state.cycle for name, robot in sim.robots.items()}
+    fields = {"epoch": sim.epoch, "cycles": cycles, "outputs": {"tool_changer": True}, "tool": "valve_key"}
+    for kind, robot in (("io", "gr"), ("io", None), ("tool", None)):
+        command = Command(id=sim.newest_id + 1, kind=kind, robot=robot, **fields)
+        (answer,) = sim.take(command)
+        assert answer.message.code is ReasonCode.NOT_PERMITTED
+    assert sim.robots["gr"].orders.outputs == {}
+    assert bench.watched == set()
+
+
+def test_no_tool_is_coupled_while_it_is_not_known_where_another_robot_is() -> None:
+    bench = ChangerBench()
+    bench.open()
+    bench.stack.process(Process.ROBOT_SERVER, "fr").kill()
+    sim = bench.stack.process(Process.SIM, "")
+    sim.kill()
+    sim.start()
+    bench.cycles(3 * REST)
+    refused(bench.request("valve_key"), ReasonCode.NOT_READY, "does not know where fr is")
+    assert bench.watched == set()
 
 
 def over_a_block(tmp_path: Path, top_m: float) -> ChangerBench:

@@ -178,8 +178,8 @@ class Sim:
             robot.inbox.begin_anew()
         if robot.tracker.restarted or robot.tracker.displaced:
             self.violations.only(robot.name, ())  # they were measured where it stood before
-        if robot.coupling is not None and self._couplings.watch(robot, state):
-            self.violations.only(robot.name, ())  # they were measured with other bodies
+        if robot.coupling is not None:
+            self._couplings.watch(robot, state)
         outdated = robot.inbox.cycle_passed(state.cycle, missed > missed_before)
         refused = [] if outdated is None else [self._refuse(outdated, _out_of_date(outdated, state))]
         if robot.inbox.waiting is not None:

@@ -238,21 +238,15 @@ class Couplings:
         self._robots, self._bodies = robots, bodies
         self._proximity, self._contacts = proximity, contacts
 
-    def watch(self, robot: GatedRobot, state: ServerState) -> bool:
-        """Follow the tool at a changer, and hold a robot whose input does not confirm it.
-
-        Returns:
-            Whether other tools than before may be there.
-        """
+    def watch(self, robot: GatedRobot, state: ServerState) -> None:
+        """Follow the tool at a changer, and hold a robot whose input does not confirm it."""
         coupling = robot.coupling
         assert coupling is not None  # only asked of robots with a changer
         before = coupling.present
         if not coupling.observe(state) and state.phase in MAY_MOVE:
             robot.orders.stop(ReasonCode.TOOL_MISMATCH)
-        if coupling.present == before:
-            return False
-        self.keep_clear()
-        return True
+        if coupling.present != before:
+            self.keep_clear()
 
     def keep_clear(self) -> None:
         """Measure the bodies of those tools that may be there, and of no other."""
