@@ -22,7 +22,7 @@ from deltaq_controllers.modes.interface import Limit
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.task import AXES, HandTask, Region, Task, TaskError, Tolerance, load_task, shipped
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.driving import DrivingMode, OperatorCommand
+from deltaq_protocol.driving import DrivingMode, Grip, OperatorCommand
 
 CYCLE_S = 0.012
 LAB, DAWM = CellModel.load("lab"), CellModel.load("dawm")
@@ -206,6 +206,26 @@ def test_a_region_ends_the_motion_of_the_hand_and_dwelling_is_counted() -> None:
     by_hand.increment(View(RobotView(999, 99.0, way[-1], way[-1])))
     assert by_hand.limitation is not None
     assert (by_hand.limitation.limit, by_hand.limitation.what) == (Limit.WORKSPACE_EDGE, "tool")
+
+
+@pytest.mark.long
+def test_hands_that_hold_an_object_do_not_slip_on_it_within_a_tolerance() -> None:
+    robot, task = DAWM.robots["dawm"], load_task("valve")
+    criteria = (weighed(RobotData(DAWM, "dawm", task=task), {"travel": 1.0}),)
+    modes = {DrivingMode.COUPLED: partial(CoupledMode, criteria=criteria, task=task)}
+    by_hand, q, held = (
+        Teleoperator(robot, CYCLE_S, DrivingMode.COUPLED, modes=modes),
+        np.array(robot.home),
+        [],
+    )
+    for cycle in range(220):
+        rates = {"z": 0.05} if cycle < 60 or 130 < cycle < 200 else {}
+        by_hand.command = OperatorCommand(rates, grip=Grip.OBJECT if cycle > 90 else None)
+        q = q + by_hand.increment(View(RobotView(cycle, cycle * CYCLE_S, q, q)))
+        if cycle > 120:
+            held.append(np.linalg.inv(robot.forward(q, "left")) @ robot.forward(q, "right"))
+    assert by_hand.grip is Grip.OBJECT
+    assert np.abs(np.array(held) - held[0]).max() < 2e-4
 
 
 def test_forces_and_directions_replace_the_worst_ones() -> None:

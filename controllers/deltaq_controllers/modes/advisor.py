@@ -237,12 +237,20 @@ class AdvisorMode(SteppedMode):
             if stands:
                 self._take_up(q)
             return motion.scaled(0.0)
+        if self._hold and self._would_part:
+            return motion.scaled(0.0)
         if self._hands_move:
-            return motion.scaled(0.0) if self._hold else motion
+            return motion
         tracker = self._advisor.tracker
         q = tracker.with_tolerances(q, self._places)
         rates = self._step(q, motion, GLIMPSE_S) / GLIMPSE_S
         return motion.scaled(kept_while_braked(self._hands, q, rates, tracker.robot.max_acceleration))
+
+    @property
+    def _would_part(self) -> bool:
+        """Whether the path moves hands, also within a tolerance."""
+        tracker = self._advisor.tracker
+        return self._hands_move or tracker.driven < tracker.robot.n
 
     def step(self, q: Array, motion: Motion, time_s: float) -> Array:
         """The displacement along the path."""
@@ -259,7 +267,7 @@ class AdvisorMode(SteppedMode):
         """Why the chosen option cannot be driven to."""
         hindrance = self._hindrance
         if self._driven == self._wanted:
-            hindrance = WOULD_PART if self._hands_move and self._hold else ""
+            hindrance = WOULD_PART if self._hold and self._would_part else ""
         return Limitation(Limit.NO_WAY, f"option {self._wanted}", hindrance) if hindrance else None
 
     def _take_up(self, q: Array) -> None:

@@ -178,6 +178,9 @@ class CoupledMode(ResolvedMode):
         if not len(self._off):
             return instant.limits
         own = IncrementLimits.of(self._robot, instant.cycle_s)
+        if instant.held is not None:
+            # hands that hold an object do not slip on it
+            own = own._replace(lower=0.0 * own.lower, upper=0.0 * own.upper)
         return IncrementLimits(
             *(np.append(a, b[self._n :]) for a, b in zip(instant.limits, own, strict=True))
         )
