@@ -25,12 +25,15 @@ class SchedulingPriority(IntEnum):
     CONTROLLER = 4
 
 
-HLI_PLACE, SIM_PLACE = 0, 1
-"""Where they come in the distribution of a cell's processes over processors, so that neighbours share none."""
+SIM_PLACE = 0
+"""Where the gate comes in the distribution of a cell's processes over processors, so that neighbours share none."""
 
 
 def place_of_robot(robots: Iterable[str], robot: str) -> int:
-    """Where the Robot Server of a robot and its controller come, among all robots of the cell."""
+    """Where the Robot Server of a robot and its controller come, among all robots of the cell.
+
+    The HLI has no place: its threads read many clients, and one that is flooded must not keep the others waiting.
+    """
     return SIM_PLACE + 1 + list(robots).index(robot)
 
 

@@ -9,7 +9,7 @@ import pytest
 from ran import ran
 
 from deltaq_controllers.live import GREED_S, ahead_of_ordinary_programs
-from deltaq_protocol.real_time import HLI_PLACE, SIM_PLACE, SchedulingPriority, place_of_robot
+from deltaq_protocol.real_time import SIM_PLACE, SchedulingPriority, place_of_robot
 
 
 def given() -> bool:
@@ -89,8 +89,8 @@ def test_a_controller_that_computes_without_waiting_loses_its_priority_and_may_r
 
 def test_neighbours_in_a_cell_share_no_processor() -> None:
     robots = ("fr", "gr", "hr")
-    places = [HLI_PLACE, SIM_PLACE, *(place_of_robot(robots, robot) for robot in robots)]
-    assert places == [0, 1, 2, 3, 4]
+    places = [SIM_PLACE, *(place_of_robot(robots, robot) for robot in robots)]
+    assert places == [0, 1, 2, 3]
 
 
 def test_the_priority_of_a_controller_is_below_everything_that_answers_it() -> None:

@@ -17,7 +17,7 @@ from deltaq_cell.description import CellDescription
 from deltaq_cell.open_realm import CROSSES_IN_CLEAR, zenoh_in_clear
 from deltaq_protocol.certified.names import AUTHORITY_FILE, IDENTITY
 from deltaq_protocol.messages import Description, ToolPose
-from deltaq_protocol.real_time import HLI_PLACE, SchedulingPriority, ask_for_real_time
+from deltaq_protocol.real_time import SchedulingPriority, ask_for_real_time
 from deltaq_services.hli.client_roles import ClientRoles, client_roles
 from deltaq_services.hli.line_encryption import line_encryption
 from deltaq_services.hli.shell import Hli
@@ -90,7 +90,7 @@ def main() -> None:
         _log.warning("%s (%s): %s", *crosses, CROSSES_IN_CLEAR)
     description = cell.description_message()
     _allow_many_connections()
-    ask_for_real_time(SchedulingPriority.HLI, HLI_PLACE)
+    ask_for_real_time(SchedulingPriority.HLI)
     asyncio.run(_run(cell, description, roles, encryption, options.audit, identities))
 
 
