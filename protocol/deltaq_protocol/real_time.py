@@ -26,11 +26,11 @@ class SchedulingPriority(IntEnum):
 
 
 SIM_PLACE = 0
-"""Where the gate comes in the distribution of a cell's processes over processors, so that neighbours share none."""
+"""Place of the gate when a cell's processes are dealt out to the processors; consecutive places share none."""
 
 
 def place_of_robot(robots: Iterable[str], robot: str) -> int:
-    """Where the Robot Server of a robot and its controller come, among all robots of the cell.
+    """Place of a robot's Robot Server, and of the controller that drives it, among all robots of the cell.
 
     The HLI has no place: its threads read many clients, and one that is flooded must not keep the others waiting.
     """
@@ -58,8 +58,8 @@ def ask_for_real_time(priority: SchedulingPriority, place: int | None = None) ->
 def keep_to_one_processor(place: int) -> None:
     """Keep all threads of this process on one of its processors.
 
-    The kernel moves threads of real-time priority to whichever processor is free, and their caches stay behind: that
-    costs a fourth of a cycle's processor time.
+    The kernel moves threads of real-time priority to whichever processor is free, and their caches stay behind. On a
+    busy machine that costs up to a fifth of a cycle's processor time.
 
     Args:
         place: consecutive places are on different processors, where there are several.

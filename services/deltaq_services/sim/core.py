@@ -7,7 +7,7 @@ each of its states, one request after the other, so that a decision always sees 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import chain, combinations
 from typing import Protocol
 
@@ -98,11 +98,9 @@ class Sim:
         self._sequence = 0
         self._command_order = CommandOrder()
         shared = (self, self.contacts, self.violations, self._command_order)
-        parts = {name: (*shared, *robot.parts) for name, robot in self.robots.items()}
-        every = tuple(chain(shared, *(robot.parts for robot in self.robots.values())))
-        self._parts_of: Callable[[str | None], tuple[object, ...]] = lambda robot: parts.get(
-            robot or "", every
-        )
+        # a message about one robot changes no other, but that an impossible state stops all: they stay stopped
+        self._parts = {name: (*shared, *robot.parts) for name, robot in self.robots.items()}
+        self._every_part = tuple(chain(shared, *(robot.parts for robot in self.robots.values())))
         self.containment = Containment()
 
     def take(self, message: Message) -> list[ToTopic]:
@@ -115,7 +113,7 @@ class Sim:
         """
         if not isinstance(message, ServerState | Request | Command):
             raise TypeError(f"the gate takes states, requests and commands, got a {type(message).__name__}")
-        self.containment.remember(self._parts_of(message.robot))
+        self.containment.remember(self._parts.get(message.robot or "", self._every_part))
         try:
             if isinstance(message, ServerState):
                 return self.on_state(message)
