@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from audited import NOTE
 from commands import deltaq
 from ran import ran
 
@@ -17,7 +18,6 @@ from deltaq_experiments.run_report.figures import figures
 from deltaq_experiments.run_report.page import page, write
 from deltaq_experiments.run_report.run import RunEvent, RunEventKind, read_run
 from deltaq_protocol import topics
-from deltaq_protocol.audit import AuditEntry, AuditKind, AuditOutcome
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.guarded import Command, CommandReply, Plan, ServerState
 from deltaq_protocol.messages import (
@@ -37,14 +37,6 @@ from deltaq_testing.report_page import outline
 CYCLE_NS = 12_000_000
 CYCLES = 200
 NOTED, STOP, RESET, GONE = 10, 100, 150, 170
-NOTE = AuditEntry(
-    time_utc="",
-    time_s=0.0,
-    what=AuditKind.NOTE,
-    outcome=AuditOutcome.DONE,
-    robot="fr",
-    text="turn, step 1 of 9",
-)
 HOSTILE = "</td><script>alert(1)</script>&\"'"
 
 

@@ -6,11 +6,11 @@ import sys
 from pathlib import Path
 
 import pytest
+from audited import NOTE
 from ran import ran
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_protocol import topics
-from deltaq_protocol.audit import AuditEntry, AuditKind, AuditOutcome
 from deltaq_protocol.messages import (
     NearestPair,
     Outcome,
@@ -36,14 +36,6 @@ from deltaq_services.recorder.writer import RecordingWriter
 CYCLE_S = 0.012
 CYCLES = 250
 GAP = range(100, 160)
-NOTE = AuditEntry(
-    time_utc="",
-    time_s=0.0,
-    what=AuditKind.NOTE,
-    outcome=AuditOutcome.DONE,
-    robot="fr",
-    text="turn, step 1 of 9",
-)
 
 
 @pytest.fixture(scope="module")

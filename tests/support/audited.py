@@ -10,12 +10,21 @@ from typing import Any
 from guarded_peer import GuardedPeer, guarded_peer
 from small_cell import small_cell, told, tool_pose
 
-from deltaq_protocol.audit import AuditEntry
+from deltaq_protocol.audit import AuditEntry, AuditKind, AuditOutcome
 from deltaq_services.hli.authentication import ClientIdentities
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.shell import Hli
 
 OPERATOR, CONTROLLER = "the operator's token, 0123456789", "the controller's, 0123456789"
+NOTE = AuditEntry(
+    time_utc="",
+    time_s=0.0,
+    what=AuditKind.NOTE,
+    outcome=AuditOutcome.DONE,
+    robot="fr",
+    text="turn, step 1 of 9",
+)
+"""What the log keeps of a routine's step."""
 
 
 class Audited:
